@@ -75,7 +75,7 @@ class Hypotheses:
 # (r, c) or nan, and their distance in px.
 
 _Narrow = NDArray[np.float32]
-_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, _Narrow, int]
+_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, int]
 _Picture = tuple[_Narrow, _Narrow]
 
 def align_texture(

@@ -58,7 +58,6 @@ std::vector<Pixel> informative(const Samples& samples, const Picture& picture, c
         for (; i < (row + 1) * samples.columns; i += every) {
             if (!(samples.odds[i] >= STATIC_ODDS) || !(samples.direction[3 * i] < 2.0f)) continue;
             const Pixel pixel{samples.towards(i), samples.at(row, i - row * samples.columns)};
-            if (std::abs(pixel.contrast - samples.before[i]) < 2.0f * errors.noise) continue;
             const Residual r = residual(pixel, picture, towards, errors);
             if (std::isfinite(r.variance) && r.J.squaredNorm() > least) found.push_back(pixel);
         }
@@ -261,28 +260,19 @@ Picture read_picture(nb::handle value_, nb::handle weight_) {
 }
 
 Samples read_samples(nb::tuple samples) {
-    members(samples, 6, "samples");
+    members(samples, 5, "samples");
     const auto contrast = array<const float, -1, -1>(samples[0], "contrast");
     const auto direction = array<const float, -1, -1, 3>(samples[1], "direction");
     const auto odds = array<const float, -1, -1>(samples[2], "odds");
     const auto offset = array<const float, -1, -1>(samples[3], "offset");
-    const auto before = array<const float, -1, -1>(samples[4], "before");
-    const int step = number<int>(samples[5], "samples");
+    const int step = number<int>(samples[4], "samples");
     const int rows = int(direction.shape(0)), columns = int(direction.shape(1));
-    for (const auto& each : {odds, offset, before})
+    for (const auto& each : {odds, offset})
         if (int(each.shape(0)) != rows || int(each.shape(1)) != columns)
-            throw nb::type_error("odds, offset, before: must have the shape of direction");
+            throw nb::type_error("odds, offset: must have the shape of direction");
     if (step < 1 || (rows - 1) * step >= int(contrast.shape(0)) || (columns - 1) * step >= int(contrast.shape(1)))
         throw nb::type_error("contrast: must have a pixel for each sample");
-    return {contrast.data(),
-            direction.data(),
-            odds.data(),
-            offset.data(),
-            before.data(),
-            int(contrast.shape(1)),
-            rows,
-            columns,
-            step};
+    return {contrast.data(), direction.data(), odds.data(), offset.data(), int(contrast.shape(1)), rows, columns, step};
 }
 
 void bind_align(nb::module_& m) {

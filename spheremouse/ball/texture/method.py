@@ -38,9 +38,9 @@ from spheremouse.ball.texture.picture import (
     empty_picture,
     first_seen,
     learn,
+    seen_again,
     texture_pixel,
     weigh,
-    without_before,
 )
 from spheremouse.ball.texture.search import Level, TextureDetector, TextureState, fits, near, search
 from spheremouse.geometry.camera import Pose
@@ -88,9 +88,10 @@ def detect_texture(
         now = _begin(detector, frame, predicted.attitude)
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
+    contrast = detector.contrast(frame.image)
     fine, coarse = (
-        level._replace(seen=level.seen._replace(contrast=contrast))
-        for level, contrast in zip((before.fine, before.coarse), detector.contrast(frame.image), strict=True)
+        level._replace(seen=seen_again(view, level.seen, shown, before.noise))
+        for view, level, shown in zip(detector.views, (before.fine, before.coarse), contrast, strict=True)
     )
     now = before._replace(fine=fine, coarse=coarse, turn=before.turn + 1)
     lost = state.status is Status.LOST
@@ -120,10 +121,10 @@ def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureS
     """Return the state after the first frame: its picture, aligned with itself."""
     noise = contrast_noise(detector.fine, detector.resampling, frame.image)
     levels = []
-    for view, contrast in zip((detector.fine, detector.coarse), detector.contrast(frame.image), strict=True):
+    for view, contrast in zip(detector.views, detector.contrast(frame.image), strict=True):
         seen = first_seen(view, contrast)
         levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
-    alignment = align(detector.fine, without_before(levels[0].seen), levels[0].picture, attitude, noise)
+    alignment = align(detector.fine, levels[0].seen, levels[0].picture, attitude, noise)
     return TextureState(
         levels[0], levels[1], noise, attitude, attitude, alignment=alignment if fits(alignment) else None
     )
@@ -141,11 +142,11 @@ def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> Te
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
     settle = min(path / _DETAIL, 1.0) / _LOOKS
     levels = []
-    for view, level in ((detector.fine, now.fine), (detector.coarse, now.coarse)):
+    for view, level in zip(detector.views, (now.fine, now.coarse), strict=True):
         seen = weigh(view, level.seen, level.picture, attitude, now.noise, now.turn if now.turned else -1, settle)
         picture = level.picture
         if starts:
-            seen = without_before(seen)
+            seen = seen_again(view, seen, seen.contrast, now.noise)
             picture = learn(view, seen, picture, now.began, _VIEWS, forget=True)
             picture = learn(view, seen, picture, attitude, _VIEWS)
         elif moved:

@@ -81,7 +81,6 @@ struct Samples {
     const float* direction;  // (rows, columns, 3) obj; nan: not on the ball
     const float* odds;       // (rows, columns) log odds that it turns with the ball
     const float* offset;     // (rows, columns) contrast that stands still: of light, its shadows and reflections
-    const float* before;     // (rows, columns) contrast of a frame; a sample near it says nothing. nan: none
     int width, rows, columns, step;
 
     int size() const { return rows * columns; }

@@ -33,6 +33,7 @@ _FINEST, _COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 
 _SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
+_SAME, _SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
 _OF_LATE = 0.2  # of a frame in the mean contrast
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 _FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball well
@@ -77,7 +78,8 @@ class Seen(NamedTuple):
     odds: Floats  # (rows, columns) log odds that the sample turns with the ball
     least: Floats  # (rows, columns) log odds of the sample of its neighbourhood that stands still most likely
     offset: Floats  # (rows, columns) contrast that stands still: of light, its shadows and reflections
-    before: Floats  # (rows, columns) contrast of the first frame, until the ball has turned; then nan
+    first: Floats  # (rows, columns) contrast of the first frame
+    counts: Floats  # (rows, columns) `least`, or -inf for a sample that may stand still since the first frame
 
 
 class Alignment(NamedTuple):
@@ -162,7 +164,17 @@ def first_seen(view: TextureView, contrast: Floats) -> Seen:
     """Return the samples of a first frame: all may turn with the ball."""
     mean = np.ascontiguousarray(contrast[:: view.step, :: view.step])
     zero = np.zeros(mean.shape, np.float32)
-    return Seen(contrast, mean, zero, view.nothing, zero, mean)
+    return Seen(contrast, mean, zero, view.nothing, zero, mean, view.nothing)
+
+
+def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) -> Seen:
+    """Return the samples with the contrast of a frame.
+
+    A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
+    """
+    now = contrast[:: view.step, :: view.step]
+    same = (np.abs(now - seen.first) < _SAME * noise) & (np.abs(now) > _SHOWS * noise) & (seen.odds < -STATIC_ODDS)
+    return seen._replace(contrast=contrast, counts=np.where(same, np.float32(-np.inf), seen.least))
 
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
@@ -204,9 +216,9 @@ def learn(
     return learnt
 
 
-def without_before(seen: Seen) -> Seen:
-    """Return the samples without the contrast of the first frame, so that all count."""
-    return seen._replace(before=np.full_like(seen.before, np.nan))
+def with_doubtful(seen: Seen) -> Seen:
+    """Return the samples so that those in doubt count as well."""
+    return seen._replace(counts=seen.least)
 
 
 def contrast_noise(view: TextureView, resampling: Resampling, image: Image) -> float:
@@ -234,9 +246,9 @@ def weigh(
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
 
 
-def _samples(view: TextureView, seen: Seen) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
+def _samples(view: TextureView, seen: Seen) -> tuple[Floats, Floats, Floats, Floats, int]:
     """Return the samples as the native functions have them."""
-    return seen.contrast, view.direction, seen.least, seen.offset, seen.before, view.step
+    return seen.contrast, view.direction, seen.counts, seen.offset, view.step
 
 
 def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:

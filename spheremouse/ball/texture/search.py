@@ -29,7 +29,7 @@ from spheremouse.ball.texture.picture import (
     texture_pixel,
     texture_spacing,
     texture_view,
-    without_before,
+    with_doubtful,
 )
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
@@ -58,6 +58,11 @@ class TextureDetector:
     resampling: Resampling  # from an image to the fine chart
     fine: TextureView
     coarse: TextureView
+
+    @property
+    def views(self) -> tuple[TextureView, TextureView]:
+        """The views, the fine one first."""
+        return self.fine, self.coarse
 
     def with_projection(self, projection: Projection) -> "TextureDetector":
         """Return the detector as it is: contrast is that of grey values."""
@@ -120,7 +125,7 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
     if fits(found) or now.turned:
         return (found if fits(found) else None), fits(found)
     # Only what has changed since the first frame counted. If that is little, the ball rests.
-    whole = align(detector.fine, without_before(now.fine.seen), now.fine.picture, attitude, now.noise)
+    whole = align(detector.fine, with_doubtful(now.fine.seen), now.fine.picture, attitude, now.noise)
     return (whole if found.used < _CHANGED * whole.used and fits(whole) else None), False
 
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.texture.picture import Picture, empty_picture, first_seen, without_before
+from spheremouse.ball.texture.picture import Picture, empty_picture, first_seen
 from spheremouse.ball.texture.search import Level, TextureState, texture_detector
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -80,7 +80,7 @@ def state_at(texture, R, rng=None, learnt=None, turn=0):
     """Return the detector's state in a frame at R; `learnt` is the texture of the picture, by default the same."""
     levels = [
         Level(
-            without_before(first_seen(view, contrast_at(view, texture, R, rng))),
+            first_seen(view, contrast_at(view, texture, R, rng)),
             picture_of(view, learnt or texture),
         )
         for view in (DETECTOR.fine, DETECTOR.coarse)

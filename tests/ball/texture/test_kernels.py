@@ -12,13 +12,11 @@ VIEW = DETECTOR.coarse
 R = exp(np.array([0.3, -0.2, 0.1]))
 SEEN = first_seen(VIEW, contrast_at(VIEW, waves(0), R, np.random.default_rng(0)))
 PICTURE = picture_of(VIEW, waves(0))
-NOTHING = np.full_like(SEEN.before, np.nan)
 SAMPLES = {
     "contrast": SEEN.contrast,
     "direction": VIEW.direction,
     "odds": SEEN.least,
     "offset": SEEN.offset,
-    "before": NOTHING,
     "step": VIEW.step,
 }
 BAD = [np.nan, np.inf, -np.inf, 0.0, 3e38]
@@ -59,8 +57,7 @@ def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offs
         ("odds", SEEN.odds[1:].copy()),
         ("odds", SEEN.odds.ravel()),
         ("offset", SEEN.offset[1:].copy()),
-        ("before", NOTHING[:, 1:].copy()),
-        ("before", None),
+        ("offset", None),
     ],
 )
 def test_wrong_samples_are_named(function, name, wrong):
@@ -153,9 +150,9 @@ def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
     assert found[3] == np.count_nonzero(np.isfinite(direction[..., 0]))
 
 
-def test_no_information_comes_from_what_stands_still_or_is_unknown_or_has_not_changed():
+def test_no_information_comes_from_what_stands_still_or_is_unknown():
     still, unknown = np.full_like(SEEN.odds, -3.1), np.zeros_like(PICTURE.weight)
-    for change in ({"odds": still}, {"weight": unknown}, {"before": SEEN.before}):
+    for change in ({"odds": still}, {"weight": unknown}):
         found = aligned(**change)
         assert found[3] == 0
         assert not np.any(found[5])

@@ -15,9 +15,10 @@ from spheremouse.ball.texture.picture import (
     empty_picture,
     first_seen,
     learn,
+    seen_again,
     tile_directions,
     weigh,
-    without_before,
+    with_doubtful,
 )
 from spheremouse.ball.texture.search import texture_detector
 from spheremouse.geometry.rotation import exp, log
@@ -156,7 +157,7 @@ def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
     contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, view.inside.shape).astype(np.float32)
-    seen, picture = without_before(first_seen(view, contrast)), picture_with(view, texture)
+    seen, picture = first_seen(view, contrast), picture_with(view, texture)
     start = exp(rng.normal(0.0, 0.02, 3)) @ R
     found = align(view, seen, picture, start, NOISE)
     q, d, _ = of_samples(view, seen)
@@ -176,17 +177,17 @@ def test_the_covariance_of_an_alignment_is_the_scatter_of_alignments(view):
     rng = np.random.default_rng(5)
     texture, R = waves(rng), exp(np.array([0.3, -0.2, 0.5]))
     clear, picture, squares = shown(view, texture, R), picture_with(view, texture, 50.0), []
-    exact = align(view, without_before(first_seen(view, clear)), picture, R, NOISE).attitude
+    exact = align(view, first_seen(view, clear), picture, R, NOISE).attitude
     for _ in range(60):
         noisy = clear + rng.normal(0.0, 2.0 * NOISE, clear.shape).astype(np.float32)
-        found = align(view, without_before(first_seen(view, noisy)), picture, R, NOISE)
+        found = align(view, first_seen(view, noisy), picture, R, NOISE)
         e = log(found.attitude @ exact.T)
         squares.append(e @ found.information.sum(axis=0) @ e)
     assert 1.5 < np.mean(squares) < 5.0  # 3 with the right covariance; Cauchy's weights state a little more
 
 
 def test_an_empty_picture_and_a_plain_ball_align_with_nothing(view):
-    flat = without_before(first_seen(view, np.zeros(view.inside.shape, np.float32)))
+    flat = first_seen(view, np.zeros(view.inside.shape, np.float32))
     assert not align(view, flat, empty_picture(view), np.eye(3), NOISE).converged
     assert not align(view, flat, picture_with(view, lambda x: np.zeros(len(x))), np.eye(3), NOISE).converged
 
@@ -213,7 +214,7 @@ def test_learning_has_the_mean_of_the_views_and_its_twin_the_same(view):
     seen = first_seen(small, contrast)
     least = np.where(rng.uniform(size=seen.odds.shape) < 0.1, -5.0, view.nothing).astype(np.float32)
     offset = rng.normal(0.0, 0.1, seen.odds.shape).astype(np.float32)
-    seen = seen._replace(least=least, offset=offset)
+    seen = seen._replace(counts=least, offset=offset)
     picture = empty_picture(small)
     for R in (np.eye(3), exp(np.array([0.4, 0.2, -0.3]))):
         value, weight = twins.learn(small, seen, picture, R, 1.5)
@@ -230,7 +231,7 @@ def test_a_picture_forgets_what_it_took_from_pixels_that_stand_still(view):
     picture = learn(view, seen, empty_picture(view), np.eye(3), 20.0)
     least = view.nothing.copy()
     least[: len(least) // 2] = -5.0
-    kept = learn(view, seen._replace(least=least), picture, np.eye(3), 20.0, forget=True)
+    kept = learn(view, seen._replace(counts=least), picture, np.eye(3), 20.0, forget=True)
     assert 0.3 < np.count_nonzero(kept.weight) / np.count_nonzero(picture.weight) < 0.7
     assert np.array_equal(kept.weight[kept.weight > 0.0], picture.weight[kept.weight > 0.0])
 
@@ -263,6 +264,23 @@ def test_what_stands_still_is_left_out_with_its_neighbourhood_but_a_single_sampl
         assert left == out if out is not None else left > size**2
 
 
+def test_a_detail_that_shows_the_same_as_in_the_first_frame_is_in_doubt_until_it_is_known_to_turn(view):
+    rng = np.random.default_rng(8)
+    first = first_seen(view, shown(view, waves(rng), np.eye(3)))
+    changed = shown(view, waves(rng), np.eye(3))
+    changed[: len(changed) // 2] = first.contrast[: len(changed) // 2]
+    now = seen_again(view, first, changed, NOISE)
+    samples, on_ball = changed[:: view.step, :: view.step], np.isfinite(view.nothing)
+    upper = np.arange(len(samples))[:, None] * view.step < len(changed) // 2
+    detail = on_ball & (np.abs(samples) > 3.0 * NOISE)
+    differs = np.abs(samples - first.first) > 4.0 * NOISE
+    assert np.all(np.isneginf(now.counts[detail & upper]))
+    assert np.all(now.counts[on_ball & (~upper & differs | (np.abs(samples) < NOISE))] == 0.0)
+    proven = seen_again(view, first._replace(odds=np.full_like(first.odds, 4.0)), changed, NOISE)
+    assert np.array_equal(proven.counts, with_doubtful(now).counts)
+    assert np.all(proven.counts[on_ball] == 0.0)
+
+
 def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
     """A shadow's edge that stands still is in each frame; the pattern below it changes."""
     rng = np.random.default_rng(7)
@@ -281,8 +299,8 @@ def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
 
 def test_wrong_arrays_are_named(view):
     seen, picture = first_seen(view, np.zeros(view.inside.shape, np.float32)), empty_picture(view)
-    samples = (seen.contrast, view.direction, seen.least, seen.offset, seen.before, view.step)
-    for at, name in enumerate(("contrast", "direction", "odds", "offset", "before")):
+    samples = (seen.contrast, view.direction, seen.least, seen.offset, view.step)
+    for at, name in enumerate(("contrast", "direction", "odds", "offset")):
         wrong = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
         with pytest.raises(TypeError, match=name):
             kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)

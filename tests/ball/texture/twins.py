@@ -100,7 +100,7 @@ def learn(view, seen, picture, R, most):
         if x < 0 or y < 0 or x >= q.shape[1] - 1 or y >= q.shape[0] - 1:
             continue
         sample = int(y / view.step + 0.5), int(x / view.step + 0.5)
-        if np.any(np.array(sample) >= seen.least.shape) or seen.least[sample] <= STATIC_ODDS:
+        if np.any(np.array(sample) >= seen.counts.shape) or seen.counts[sample] <= STATIC_ODDS:
             continue
         a, b = y - i, x - j
         now = (1 - a) * ((1 - b) * q[i, j] + b * q[i, j + 1]) + a * ((1 - b) * q[i + 1, j] + b * q[i + 1, j + 1])
