@@ -2,7 +2,8 @@
 
 The pixels that change are in a region whose border is an outline where nothing hides the ball. RANSAC finds the cone
 that most of the border lies on. Then the edge is measured across the outline: where a contour of unknown strength that
-comes and goes ends at a still background, its gradient over its value depends on the blur and the place alone.
+comes and goes ends at a still background, its gradient over its value depends on the blur and the place alone. Last,
+where the mean picture has a step there, its place counts: gloss and a fine pattern do not move it.
 """
 
 from collections.abc import Sequence
@@ -48,6 +49,9 @@ _SAMPLING = 0.25  # px
 _OUTSIDE = 6  # samples
 _FAINT = 0.02  # of the variance within: less is noise
 _QUIET = 0.25  # of the variance within: the background
+_STEP_PX, _STEP = 2.5, 5.0  # px, and grey values a pixel: of a step of the mean picture
+_ENOUGH = 0.5  # steps, of the edges
+_STEP_FLOOR_PX, _STEP_SHARED = (0.08, 0.12), (0.3, 0.3)  # as those below, by steps
 _FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
 _SHARED = (0.7, 1.0)  # of the scatter of the edges, which many of them share: the pattern is finer at the limb
 
@@ -55,6 +59,7 @@ _SHARED = (0.7, 1.0)  # of the scatter of the edges, which many of them share: t
 class Change(NamedTuple):
     """Changes of pixels over time."""
 
+    mean: Array  # (h, w) grey values
     variance: Array  # (h, w) grey values²
     gradient: Array  # (h, w, 3) grey values² per px², covariance of the gradient: xx, xy, yy
     noise: float  # grey values, standard deviation of a pixel that does not change
@@ -100,7 +105,7 @@ def change_of(images: Sequence[Image], light: Array) -> Change:
     d, x, y, dd, xx, xy, yy = sums / max(count, 1)
     variance = np.maximum(dd - d * d, 0.0)
     gradient = np.stack([xx - x * x, xy - x * y, yy - y * y], axis=-1)
-    return Change(variance, gradient, float(np.percentile(variance[::4, ::4], 25.0)) ** 0.5)
+    return Change(base + d, variance, gradient, float(np.percentile(variance[::4, ::4], 25.0)) ** 0.5)
 
 
 def _check_light(images: Sequence[Image]) -> None:
@@ -202,27 +207,25 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
         )
     if support < _LEAST_SUPPORT:
         raise CalibrationError(f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN}, {POINTS}")
-    floor = np.hypot(_FLOOR_PX, np.multiply(_SHARED, scatter)) / f
+    edges, floor_px, shared = edges[fits], _FLOOR_PX, _SHARED
+    steps = _steps(change.mean, outline, edges, camera)
+    if len(steps) > _ENOUGH * len(edges):
+        outline = _robust(rays_of(steps, camera), outline)
+        off = residuals(outline, rays_of(steps, camera)) * f
+        scatter, edges, floor_px, shared = float(mad_sigma(off)), steps, _STEP_FLOOR_PX, _STEP_SHARED
+    floor = np.hypot(floor_px, np.multiply(shared, scatter)) / f
     covariance = outline.covariance + np.diag(np.square(floor[[0, 0, 1]]))
-    return Outline(outline.direction, outline.angle, covariance), edges[fits]
+    return Outline(outline.direction, outline.angle, covariance), edges
 
 
 def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     """Return the edges, (n, 2) px, across an outline, (m, 2) px, within `reach` px.
 
-    The outermost edge of the change counts. There the gradient over the change is `level`,
-    1/px.
+    The outermost edge of the change counts. There the gradient over the change is `level`, 1/px.
     """
-    ahead = np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0)
-    normal = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    normal *= np.sign(np.sum(normal * (pixels - pixels.mean(axis=0)), axis=1))[:, None]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    offset = np.arange(reach, -reach, -_SAMPLING)  # from outside
-    at = (pixels[:, None] + offset[:, None] * normal[:, None]).astype(np.float32)
-    variance, xx, xy, yy = (
-        cv2.remap(np.ascontiguousarray(part, np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-        for part in (change.variance, *np.moveaxis(change.gradient, -1, 0))
-    )
+    normal, offset = _normals(pixels), np.arange(reach, -reach, -_SAMPLING)  # from outside
+    at = pixels[:, None] + offset[:, None] * normal[:, None]
+    variance, xx, xy, yy = (_sampled(part, at) for part in (change.variance, *np.moveaxis(change.gradient, -1, 0)))
     x, y = normal[:, None, 0], normal[:, None, 1]
     gradient = x * x * xx + 2.0 * x * y * xy + y * y * yy
     outside, within = (np.median(variance[:, k], axis=1) for k in (slice(_OUTSIDE), slice(-_OUTSIDE, None)))
@@ -241,6 +244,38 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
         edge = np.where(np.isfinite(before), k - (level - after) / (before - after), k - 0.5)
     place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE], ok[k > _OUTSIDE]
     return pixels[i] + place[:, None] * normal[i]
+
+
+def _steps(mean: Array, outline: Outline, edges: Array, camera: InteriorOrientation) -> Array:
+    """Return the steps of the mean picture, (n, 2) px, across an outline near its `edges`, where they are clear.
+
+    They are sharper than the edges of the change, which gloss moves inwards.
+    """
+    pixels = outline.pixels(camera)
+    normal, offset = _normals(pixels), np.arange(-_STEP_PX, _STEP_PX + _SAMPLING, _SAMPLING)
+    profile = _sampled(mean, pixels[:, None] + offset[:, None] * normal[:, None])
+    slope = np.abs(profile[:, 2:] - profile[:, :-2]) / (2.0 * _SAMPLING)
+    k, i = np.argmax(slope, axis=1), np.arange(len(slope))
+    inner = np.clip(k, 1, slope.shape[1] - 2)
+    a, b, c = (slope[i, inner + d] for d in (-1, 0, 1))
+    place = offset[1 + inner] + _SAMPLING * 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, -1e-9)
+    near = np.min(np.linalg.norm(pixels[:, None] - edges[None], axis=2), axis=1) < 2.0 * _STEP_PX
+    ok = near & (k == inner) & (b > _STEP)
+    return pixels[ok] + place[ok, None] * normal[ok]
+
+
+def _normals(pixels: Array) -> Array:
+    """Return the unit normals of a closed outline, (m, 2) px, outwards."""
+    ahead = np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0)
+    normal = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    normal *= np.sign(np.sum(normal * (pixels - pixels.mean(axis=0)), axis=1))[:, None]
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), float)
+
+
+def _sampled(image: Array, at: Array) -> Array:
+    """Return the values of an image at places, (..., 2) px."""
+    x, y = np.moveaxis(at.astype(np.float32), -1, 0)
+    return cv2.remap(np.ascontiguousarray(image, np.float32), x, y, cv2.INTER_CUBIC).astype(float)
 
 
 def _has_other(moving: Image, change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> bool:
