@@ -143,13 +143,19 @@ class Renderer:
                 black += np.float32(1.0) - light[points.pixel]
                 shares[k] = shares[k] * light[pixels[k]]  # a disc hides the pattern
             pixels, shares = [*pixels, points.pixel], [*shares, black]
-        dark = np.bincount(np.concatenate(pixels), np.concatenate(shares), place.backdrop.ball.size)
-        pixel = np.flatnonzero(dark)
+        pixel, dark = np.concatenate(pixels), np.concatenate(shares)
+        if place.points is None:  # few pixels
+            pixel, group = np.unique(pixel, return_inverse=True)
+            dark = np.bincount(group, dark, len(pixel))
+        else:
+            every = np.bincount(pixel, dark, place.backdrop.ball.size)
+            pixel = np.flatnonzero(every > 0.0)
+            dark = every[pixel]
         shown = place.backdrop.ball.copy() if hands else place.backdrop.ball
         for hand in hands:
             shown[hand.place] *= 1.0 - hand.paint[..., 3]
         discs = surface.truth(profile.attitude, t, 0, covered[len(times) // 2], shown, place.backdrop.outline)
-        return _Seen(attitude, place.centre, pixel, (dark[pixel] / len(times)).astype(np.float32), discs)
+        return _Seen(attitude, place.centre, pixel, (dark / len(times)).astype(np.float32), discs)
 
     def _picture(
         self, seen: _Seen, place: _Place, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator

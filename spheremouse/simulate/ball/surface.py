@@ -121,10 +121,15 @@ class Surface:
 
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
         """Share of pixels that discs cover at time `t` (of the middle row)."""
-        row, column, disc = self._near_discs(attitude_at, t)
-        R, toward = self.attitude_by_row(attitude_at, t), self.scene.disc_directions[disc]
-        v = row + self._low[1]
-        toward = (R[v] @ toward[..., None])[..., 0] if len(R) > 1 else toward @ R[0].T
+        R, directions = self.attitude_by_row(attitude_at, t), self.scene.disc_directions
+        if len(R) == 1:
+            turned = directions @ R[0].T
+            row, column, disc = self._near_discs(turned)
+            toward, v = turned[disc], row + self._low[1]
+        else:
+            row, column, disc = self._near_discs(self._directions(attitude_at, t, directions)[0])
+            v = row + self._low[1]
+            toward = (R[v] @ directions[disc, :, None])[..., 0]
         ray, dray = self._ray[row, column], self._dray[row, column]
         hits = self._hits(ray)
         g, slope = self._edge(hits, ray, dray, toward)
@@ -138,10 +143,12 @@ class Surface:
         keep = share > 0.0
         return Coverage((v * self.scene.camera.width + column + self._low[0])[keep], disc[keep], share[keep])
 
-    def _near_discs(self, attitude_at: AttitudeAt, t: float) -> tuple[NDArray[np.intp], ...]:
-        """Row and column from the first pixel of the ball, and disc, of all pixels that may show a disc, (k,) each."""
+    def _near_discs(self, directions: Array) -> tuple[NDArray[np.intp], ...]:
+        """Row and column from the first pixel of the ball, and disc, of all pixels that may show a disc, (k,) each.
+
+        `directions` (n, 3) are those of the discs in `obj`.
+        """
         scene = self.scene
-        directions, _ = self._directions(attitude_at, t, scene.disc_directions)
         near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._there)
         if len(near) == 0:
             return (np.zeros(0, dtype=np.intp),) * 3
