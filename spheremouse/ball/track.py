@@ -175,7 +175,7 @@ def _with_new_pose(
         phase=phase,
         filter=filtered,
         lookalikes=StaticDistractors(),
-        search=SearchState(),
+        search=state.search if anew.method is TEXTURE else SearchState(),
         watch=watch,
         rebuilt=anew,
     )

@@ -32,6 +32,7 @@ from spheremouse.ball.state import (
 from spheremouse.ball.texture.picture import (
     STATIC_ODDS,
     Alignment,
+    Floats,
     TextureView,
     align,
     contrast_noise,
@@ -59,7 +60,7 @@ _FLOOR_PX = 0.07  # standard deviation of an anchor's place per axis: errors of 
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
 _SHADING_PX = 0.1  # by which light that stands still shifts a contour
-_OTHER_BALL_S = 5.0  # without a fit, although all attitudes were searched: it is another ball, or was painted
+_OTHER_BALL_S = 5.0  # of details that fit at no attitude: it is another ball, or was painted
 
 
 def shading_covariance(rig: Rig, pose: Pose) -> Array:
@@ -84,16 +85,13 @@ def detect_texture(
     detector = tracker.detector
     assert isinstance(detector, TextureDetector)
     before = state.search
-    if not isinstance(before, TextureState) or (state.status is Status.SEARCHING and before.alignment is None):
+    begins = not isinstance(before, TextureState) or (state.status is Status.SEARCHING and before.alignment is None)
+    if begins or not _goes_on(detector, before):
         now = _begin(detector, frame, predicted.attitude)
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
     contrast = detector.contrast(frame.image)
-    fine, coarse = (
-        level._replace(seen=seen_again(view, level.seen, shown, before.noise))
-        for view, level, shown in zip(detector.views, (before.fine, before.coarse), contrast, strict=True)
-    )
-    now = before._replace(fine=fine, coarse=coarse, turn=before.turn + 1)
+    now = _with_contrast(detector, before, contrast)._replace(turn=before.turn + 1)
     lost = state.status is Status.LOST
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
@@ -105,11 +103,39 @@ def detect_texture(
     if alignment is not None:
         now = _learnt(detector, now, alignment.attitude)
         if not searched:
-            now = now._replace(usual=now.usual + _RECENT * (alignment.correlation - now.usual))
+            usual = now.usual + _RECENT * (alignment.correlation - now.usual)
+            now = now._replace(usual=usual, details=now.details + _RECENT * (_details(detector, now) - now.details))
+    elif _details(detector, now) < 0.5 * now.details:
+        now = now._replace(plain_at=frame.stamp)
     found, shown = _detections(detector.fine, alignment, tracker)
     far = turns and _path(detector, now, alignment) > _PROVEN_PX
     proven = now.turned or now.proven or (far and np.count_nonzero(now.fine.seen.odds > -STATIC_ODDS) > _TURNING)
     return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
+
+
+def _goes_on(detector: TextureDetector, before: TextureState) -> bool:
+    """Return whether the pictures serve a detector, which may be that of another pose of the camera."""
+    return before.view is detector.fine or (before.turned and before.fine.picture.value.shape[1] == detector.fine.cells)
+
+
+def _with_contrast(detector: TextureDetector, before: TextureState, contrast: tuple[Floats, Floats]) -> TextureState:
+    """Return the state with the samples of a frame. At another pose of the camera, none has a past."""
+    levels = []
+    for view, level, shown in zip(detector.views, (before.fine, before.coarse), contrast, strict=True):
+        if before.view is detector.fine:
+            seen = seen_again(view, level.seen, shown, before.noise)
+        else:
+            seen = first_seen(view, shown)
+            seen = seen._replace(first=np.full_like(seen.first, np.nan))
+        levels.append(level._replace(seen=seen))
+    return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1])
+
+
+def _details(detector: TextureDetector, now: TextureState) -> int:
+    """Return the number of coarse samples that show a detail, and may turn."""
+    seen, step = now.coarse.seen, detector.coarse.step
+    shows = np.abs(seen.contrast[::step, ::step]) > 2.0 * now.noise
+    return int(np.count_nonzero(shows & (seen.counts > STATIC_ODDS)))
 
 
 def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:
@@ -126,7 +152,7 @@ def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureS
         levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
     alignment = align(detector.fine, levels[0].seen, levels[0].picture, attitude, noise)
     return TextureState(
-        levels[0], levels[1], noise, attitude, attitude, alignment=alignment if fits(alignment) else None
+        detector.fine, levels[0], levels[1], noise, attitude, attitude, alignment=alignment if fits(alignment) else None
     )
 
 
@@ -192,7 +218,7 @@ def _next_phase(
     now, before = state.search, state.phase
     assert isinstance(now, TextureState)
     if now.alignment is None:
-        if isinstance(before, Lost) and stamp - state.confirmed_at > _OTHER_BALL_S:
+        if isinstance(before, Lost) and stamp - max(state.confirmed_at, now.plain_at) > _OTHER_BALL_S:
             anew = tracker.filter.initial(stamp, state.filter.attitude)
             return state._replace(phase=Learning(), filter=anew, search=SearchState(), confirmed_at=stamp), (NewMap(),)
         if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen

@@ -105,6 +105,7 @@ class Level(NamedTuple):
 class TextureState(NamedTuple):
     """State of the detector between frames."""
 
+    view: TextureView  # of the samples of `fine`
     fine: Level
     coarse: Level
     noise: float  # of a contrast
@@ -116,6 +117,8 @@ class TextureState(NamedTuple):
     alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
     searched: bool = False  # it was not near the prediction
     usual: float = 0.0  # correlation of the frames that fitted near their predictions
+    details: float = 0.0  # coarse samples of these frames that showed a detail
+    plain_at: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
 

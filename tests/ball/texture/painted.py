@@ -85,4 +85,5 @@ def state_at(texture, R, rng=None, learnt=None, turn=0):
         )
         for view in (DETECTOR.fine, DETECTOR.coarse)
     ]
-    return TextureState(levels[0], levels[1], NOISE, np.eye(3), np.eye(3), proven=True, turned=True, turn=turn)
+    start = np.eye(3)
+    return TextureState(DETECTOR.fine, *levels, NOISE, start, start, proven=True, turned=True, turn=turn)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -50,10 +51,12 @@ def events(steps):
     return [type(e) for s in steps for e in s.events]
 
 
-def hidden(film, tracked, seconds):
-    """Return the steps while a grey sheet is before the camera, after others."""
+def hidden(film, tracked, seconds, spots=0.0):
+    """Return the steps while a sheet is before the camera, after others; it has spots of so many grey values."""
     made, tracker = film
-    sheet = np.full_like(made[0].frame.image, 120)
+    pattern = cv2.GaussianBlur(np.random.default_rng(1).normal(size=made[0].frame.image.shape[:2]), (0, 0), 2.0)
+    light = 120.0 + spots * np.sign(pattern)[..., None]
+    sheet = np.broadcast_to(light, made[0].frame.image.shape).astype(np.uint8)
     steps = follow(15 * [sheet], tracker, tracked)
     return follow([sheet], tracker, steps, interval=seconds - 15.0 * DT)
 
@@ -78,14 +81,13 @@ def test_pictures_before_the_ball_is_seen_do_not_keep_it_from_being_tracked(film
 
 def test_a_ball_that_comes_back_after_a_new_map_began_is_tracked(film, tracked):
     made, tracker = film
-    steps = hidden(film, tracked, 6.0)
+    steps = hidden(film, tracked, 6.0, spots=40.0)
     assert events(steps[len(tracked) :])[-2:] == [BallLost, NewMap]
     back = follow([m.frame.image for m in made], tracker, steps)[len(steps) :]
     assert events(back) == [Found, Turned]
     assert sum(s.state.status is Status.TRACKING for s in back) > 20
 
 
-@pytest.mark.xfail(strict=True, reason="what is hidden for 5 s counts as another ball, though nothing else was in view")
 def test_a_ball_that_was_hidden_for_long_is_still_recognised(film, tracked):
     made, tracker = film
     steps = hidden(film, tracked, 6.0)
@@ -101,7 +103,6 @@ def test_a_ball_that_was_hidden_for_a_while_is_recognised_where_it_is(film, trac
     assert error(back[-1], made[ELSEWHERE].attitude, tracked[-1], made[-1].attitude) < 0.3
 
 
-@pytest.mark.xfail(strict=True, reason="at another pose the tracker begins another picture and forgets the old one")
 def test_after_the_camera_was_moved_the_ball_is_still_recognised(film, tracked):
     made, tracker = film
     pose = Pose(tracker.pose.rotation, tracker.pose.position + np.array([1e-5, 0.0, 0.0]))
