@@ -79,7 +79,8 @@ class Seen(NamedTuple):
     least: Floats  # (rows, columns) log odds of the sample of its neighbourhood that stands still most likely
     offset: Floats  # (rows, columns) contrast that stands still: of light, its shadows and reflections
     first: Floats  # (rows, columns) contrast of the first frame
-    counts: Floats  # (rows, columns) `least`, or -inf for a sample that may stand still since the first frame
+    counts: Floats  # (rows, columns) `least`, or -inf for a detail that may stand still since the first frame
+    turning: Floats  # (rows, columns) `counts`, or -inf for any sample that may
 
 
 class Alignment(NamedTuple):
@@ -164,7 +165,7 @@ def first_seen(view: TextureView, contrast: Floats) -> Seen:
     """Return the samples of a first frame: all may turn with the ball."""
     mean = np.ascontiguousarray(contrast[:: view.step, :: view.step])
     zero = np.zeros(mean.shape, np.float32)
-    return Seen(contrast, mean, zero, view.nothing, zero, mean, view.nothing)
+    return Seen(contrast, mean, zero, view.nothing, zero, mean, view.nothing, view.nothing)
 
 
 def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) -> Seen:
@@ -173,13 +174,16 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
     A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
     """
     now = contrast[:: view.step, :: view.step]
-    same = (np.abs(now - seen.first) < _SAME * noise) & (np.abs(now) > _SHOWS * noise) & (seen.odds < -STATIC_ODDS)
-    return seen._replace(contrast=contrast, counts=np.where(same, np.float32(-np.inf), seen.least))
+    same = (np.abs(now - seen.first) < _SAME * noise) & (seen.odds < -STATIC_ODDS)
+    detail = np.abs(now) > _SHOWS * noise
+    nothing = np.float32(-np.inf)
+    counts, turning = np.where(same & detail, nothing, seen.least), np.where(same, nothing, seen.least)
+    return seen._replace(contrast=contrast, counts=counts, turning=turning)
 
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
-    samples = _samples(view, seen)
+    samples = _samples(view, seen._replace(counts=seen.turning))
     return Alignment(
         *kernels.align_texture(
             samples,
@@ -218,7 +222,7 @@ def learn(
 
 def with_doubtful(seen: Seen) -> Seen:
     """Return the samples so that those in doubt count as well."""
-    return seen._replace(counts=seen.least)
+    return seen._replace(counts=seen.least, turning=seen.least)
 
 
 def contrast_noise(view: TextureView, resampling: Resampling, image: Image) -> float:

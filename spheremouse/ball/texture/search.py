@@ -40,7 +40,7 @@ _FITS = 0.35  # least correlation of frame and picture: with noise as strong as 
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
 _DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
-_CHANGED = 0.15  # part of the informative samples that changes by more than noise once the ball turns
+_CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 _STEP = float(
     np.radians(2.7)
 )  # of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
