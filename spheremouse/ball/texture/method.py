@@ -33,11 +33,13 @@ from spheremouse.ball.texture.picture import (
     STATIC_ODDS,
     Alignment,
     Floats,
+    Seen,
     TextureView,
     align,
     contrast_noise,
     empty_picture,
     first_seen,
+    grain_of,
     learn,
     seen_again,
     texture_pixel,
@@ -50,7 +52,10 @@ from spheremouse.tracker import Frame, Status
 
 _VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
-_TURNING = 200  # samples that turn as the ball does, in 25 details, before it is tracked
+_TURNING, _SEEN = (
+    5,
+    20,
+)  # samples of a part of the ball that turn as it does, chance gives none; times as many to see it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
@@ -90,8 +95,9 @@ def detect_texture(
         now = _begin(detector, frame, predicted.attitude)
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
-    contrast = detector.contrast(frame.image)
-    now = _with_contrast(detector, before, contrast)._replace(turn=before.turn + 1)
+    contrast, light = detector.contrast(frame.image)
+    before = before._replace(noise=contrast_noise(before.grain, light), turn=before.turn + 1)
+    now = _with_contrast(detector, before, contrast)
     lost = state.status is Status.LOST
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
@@ -109,7 +115,7 @@ def detect_texture(
         now = now._replace(plain_at=frame.stamp)
     found, shown = _detections(detector.fine, alignment, tracker)
     far = turns and _path(detector, now, alignment) > _PROVEN_PX
-    proven = now.turned or now.proven or (far and np.count_nonzero(now.fine.seen.odds > -STATIC_ODDS) > _TURNING)
+    proven = now.turned or now.proven or (far and _turns_all_over(detector.fine, now.fine.seen))
     return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
 
 
@@ -138,6 +144,17 @@ def _details(detector: TextureDetector, now: TextureState) -> int:
     return int(np.count_nonzero(shows & (seen.counts > STATIC_ODDS)))
 
 
+def _turns_all_over(view: TextureView, seen: Seen) -> bool:
+    """Return whether samples are known to turn in more than half of the parts of the ball in view.
+
+    A hand before the ball is in fewer.
+    """
+    on_ball = np.isfinite(view.nothing)
+    part = np.argmax(view.direction[on_ball] @ view.anchors.T.astype(np.float32), axis=1)
+    turning, all_ = (np.bincount(part[k], minlength=1) for k in (seen.odds[on_ball] > -STATIC_ODDS, slice(None)))
+    return bool(np.count_nonzero(turning >= _TURNING) > 0.5 * np.count_nonzero(all_ >= _SEEN * _TURNING))
+
+
 def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:
     """Return the path of the ball's surface since the first frame, px."""
     return 0.0 if alignment is None else _angle(alignment.attitude, now.began) / detector.fine.pixel
@@ -145,14 +162,23 @@ def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | N
 
 def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureState:
     """Return the state after the first frame: its picture, aligned with itself."""
-    noise = contrast_noise(detector.fine, detector.resampling, frame.image)
+    contrasts, light = detector.contrast(frame.image)
+    grain = grain_of(detector.resampling, frame.image)
+    noise = contrast_noise(grain, light)
     levels = []
-    for view, contrast in zip(detector.views, detector.contrast(frame.image), strict=True):
+    for view, contrast in zip(detector.views, contrasts, strict=True):
         seen = first_seen(view, contrast)
         levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
     alignment = align(detector.fine, levels[0].seen, levels[0].picture, attitude, noise)
     return TextureState(
-        detector.fine, levels[0], levels[1], noise, attitude, attitude, alignment=alignment if fits(alignment) else None
+        detector.fine,
+        levels[0],
+        levels[1],
+        grain,
+        noise,
+        attitude,
+        attitude,
+        alignment=alignment if fits(alignment) else None,
     )
 
 

@@ -31,6 +31,7 @@ _HALF = 1.1  # half the width of a face, as `picture.h` has it
 _CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
 _FINEST, _COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
 _SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
+_ROUNDING = 0.4  # grey values, of mean and interpolation
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
 _SAME, _SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
@@ -129,14 +130,15 @@ def texture_pixel(rig: Rig, pose: Pose) -> float:
     return distance / (rig.ball.radius * max(rig.camera.intrinsic[:2]))
 
 
-def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[Floats, Floats]:
-    """Return the contrast of a chart's grey values on it, (h, w), and on the coarse chart."""
+def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tuple[Floats, Floats], float]:
+    """Return the contrast of a chart's grey values, (h, w) on it and on the coarse chart, and the mean grey value."""
     size = coarse.chart.size
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
-    far = cv2.multiply(_box(cv2.multiply(rough, coarse.inside, dtype=cv2.CV_32F), coarse.widths[1]), coarse.share[1])
-    far = np.asarray(far + np.float32(_DARK), np.float32)
+    light = np.asarray(cv2.multiply(rough, coarse.inside, dtype=cv2.CV_32F))
+    far = np.asarray(cv2.multiply(_box(light, coarse.widths[1]), coarse.share[1]) + np.float32(_DARK), np.float32)
     wide = np.asarray(cv2.resize(far, (fine.chart.size, fine.chart.size)), np.float32)
-    return _contrast(fine, grey, wide), _contrast(coarse, rough, far)
+    mean = float(light.sum() / max(coarse.inside.sum(), 1.0))
+    return (_contrast(fine, grey, wide), _contrast(coarse, rough, far)), mean
 
 
 def _contrast(view: TextureView, grey: Image, far: Floats) -> Floats:
@@ -225,14 +227,18 @@ def with_doubtful(seen: Seen) -> Seen:
     return seen._replace(counts=seen.least, turning=seen.least)
 
 
-def contrast_noise(view: TextureView, resampling: Resampling, image: Image) -> float:
-    """Return the standard deviation of a contrast, by the noise of a pixel over the light."""
+def grain_of(resampling: Resampling, image: Image) -> float:
+    """Return the standard deviation of the grey values of a chart by the noise of an image."""
     colours = np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
     rows, columns = resampling.window
     weights = sample_weights_of(GREY, colours.shape[2])
     noise = kernels.noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
-    light = float(resampling(image)[view.inside > 0.0].mean())  # a recording blackens the rest
-    return float(np.hypot(_NOISE, noise / (resampling.width * max(light, 1.0))))
+    return float(np.hypot(noise / resampling.width, _ROUNDING))
+
+
+def contrast_noise(grain: float, light: float) -> float:
+    """Return the standard deviation of a contrast, by that of grey values over their mean."""
+    return float(np.hypot(_NOISE, grain / max(light, 1.0)))
 
 
 def weigh(

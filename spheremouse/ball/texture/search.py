@@ -68,8 +68,8 @@ class TextureDetector:
         """Return the detector as it is: contrast is that of grey values."""
         return self
 
-    def contrast(self, image: Image) -> tuple[Floats, Floats]:
-        """Return the contrast of the ball in an image, (h, w) of the fine and of the coarse chart."""
+    def contrast(self, image: Image) -> tuple[tuple[Floats, Floats], float]:
+        """Return the contrast of the ball in an image, (h, w) of the fine and of the coarse chart, and its light."""
         return contrast_of(self.fine, self.coarse, self.resampling(image))
 
     def detect(self, image: Image) -> Detections:
@@ -108,6 +108,7 @@ class TextureState(NamedTuple):
     view: TextureView  # of the samples of `fine`
     fine: Level
     coarse: Level
+    grain: float  # grey values, noise of a pixel of the fine chart
     noise: float  # of a contrast
     began: Array  # (3, 3) attitude of the first frame
     learnt_at: Array  # (3, 3) attitude of the last frame that was learnt

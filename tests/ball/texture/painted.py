@@ -86,4 +86,6 @@ def state_at(texture, R, rng=None, learnt=None, turn=0):
         for view in (DETECTOR.fine, DETECTOR.coarse)
     ]
     start = np.eye(3)
-    return TextureState(DETECTOR.fine, *levels, NOISE, start, start, proven=True, turned=True, turn=turn)
+    return TextureState(
+        DETECTOR.fine, levels[0], levels[1], 1.0, NOISE, start, start, proven=True, turned=True, turn=turn
+    )

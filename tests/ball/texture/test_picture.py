@@ -141,7 +141,7 @@ def test_contrast_is_that_of_the_ball_and_not_of_the_light():
     inside = np.isfinite(DETECTOR.fine.direction[..., 0])
 
     def contrast(image):
-        return DETECTOR.contrast(np.rint(image).astype(np.uint8))[0][:: DETECTOR.fine.step, :: DETECTOR.fine.step][
+        return DETECTOR.contrast(np.rint(image).astype(np.uint8))[0][0][:: DETECTOR.fine.step, :: DETECTOR.fine.step][
             inside
         ]
 
