@@ -110,8 +110,11 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
     if (int(known.shape(1)) != tiles || int(known.shape(2)) != tiles)
         throw nb::type_error("known: must have one element for each tile");
     members(chart, 4, "chart");
-    Shown shown{contrast.data(), int(contrast.shape(0)), int(contrast.shape(1)),
-                0.5f * float(number<int>(chart[2], "size") - 1)};
+    Shown shown{};
+    shown.contrast = contrast.data();
+    shown.height = int(contrast.shape(0));
+    shown.width = int(contrast.shape(1));
+    shown.middle = 0.5f * float(number<int>(chart[2], "size") - 1);
     shown.axes = (Matrix<3>(matrix<3, 3>(chart[0], "axes")) * matrix<3, 3>(R_, "R")).cast<float>();
     shown.by_step = 1.0f / float(samples.step);
     shown.set_tables(number<float>(chart[1], "spacing"), number<float>(chart[3], "distance"));

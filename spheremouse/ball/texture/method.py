@@ -96,8 +96,8 @@ def detect_texture(
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
     contrast, light = detector.contrast(frame.image)
-    before = before._replace(noise=contrast_noise(before.grain, light), turn=before.turn + 1)
-    now = _with_contrast(detector, before, contrast)
+    noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
+    now = _with_contrast(detector, before, contrast, noise)._replace(turn=before.turn + 1)
     lost = state.status is Status.LOST
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
@@ -124,12 +124,14 @@ def _goes_on(detector: TextureDetector, before: TextureState) -> bool:
     return before.view is detector.fine or (before.turned and before.fine.picture.value.shape[1] == detector.fine.cells)
 
 
-def _with_contrast(detector: TextureDetector, before: TextureState, contrast: tuple[Floats, Floats]) -> TextureState:
+def _with_contrast(
+    detector: TextureDetector, before: TextureState, contrast: tuple[Floats, Floats], noise: float
+) -> TextureState:
     """Return the state with the samples of a frame. At another pose of the camera, none has a past."""
     levels = []
     for view, level, shown in zip(detector.views, (before.fine, before.coarse), contrast, strict=True):
         if before.view is detector.fine:
-            seen = seen_again(view, level.seen, shown, before.noise)
+            seen = seen_again(view, level.seen, shown, noise)
         else:
             seen = first_seen(view, shown)
             seen = seen._replace(first=np.full_like(seen.first, np.nan))

@@ -109,7 +109,7 @@ class TextureState(NamedTuple):
     fine: Level
     coarse: Level
     grain: float  # grey values, noise of a pixel of the fine chart
-    noise: float  # of a contrast
+    noise: float  # of a contrast, in the light of the first frame
     began: Array  # (3, 3) attitude of the first frame
     learnt_at: Array  # (3, 3) attitude of the last frame that was learnt
     proven: bool = False  # what changes turns like the ball
