@@ -15,14 +15,6 @@ from spheremouse.files.rig import load_camera, load_rig, save_camera
 CAMERA = Path("camera.yaml")  # of pictures of 640x480
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film") / "speckle"
-    words = ("--pattern", "speckle", "--motion", "play", "--seconds", 4, "--noise", 4, "--size", "320x240")
-    assert invoke(app, "simulate", folder, *words)[0] == 0
-    return folder
-
-
 def clicks(recording):
     """Points on the outline of the recording's ball, as a person would give them, to a pixel."""
     from spheremouse.ball.detect.appearance import ball_outline

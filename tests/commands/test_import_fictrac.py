@@ -28,14 +28,6 @@ def corners(R_lab_cam):
     return project(SQUARE @ R_lab_cam + (0.1, -0.2, 6.0), pinhole((320, 240), VFOV))[0]
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film") / "speckle"
-    words = ("--pattern", "speckle", "--motion", "play", "--seconds", 4, "--noise", 3, "--size", "320x240")
-    assert invoke(app, "simulate", folder, *words)[0] == 0
-    return folder
-
-
 @pytest.fixture
 def lines(recording):
     """Lines of a configuration with every kind of value, by their keys."""
