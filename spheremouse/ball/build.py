@@ -136,7 +136,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
     colours = colours_of(tracker.rig, tracker.settings, Colours())
-    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map and tracker.method is not TEXTURE
+    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map and not tracker.method.keeps_search
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
         colours = colours if colours.fixed else Colours(known.projection, refined=known.projection != GREY)

@@ -60,6 +60,7 @@ class Method(NamedTuple):
     """The steps of tracking that depend on the filter."""
 
     keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
+    keeps_search: bool  # the detector's state, at another camera pose and with other settings
     exact_centres: bool  # the detector's covariances are right, so the discs can show a lifted ball
     detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, Any]]  # with the predicted filter
     next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points

@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.ball import camera_moved
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.build import begin, build, colours_of, follows_pattern
+from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.camera_moved import Seek, seek_by_colour
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
@@ -49,7 +49,6 @@ from spheremouse.ball.state import (
     no_points,
     statistics,
 )
-from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
@@ -118,15 +117,19 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     """
     before = current(state, tracker)
     anew = build(tracker.rig, before.pose, settings, before)
-    pattern = follows_pattern(anew.rig, settings)
-    other_picture = anew.detector is not before.detector and TEXTURE in (anew.method, before.method)
+    keeps = anew.method.keeps_search or before.method.keeps_search
+    other_picture = keeps and anew.detector is not before.detector
     if settings.tracker != tracker.settings.tracker or other_picture:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)
     state = state._replace(filter=anew.filter.adopt(state.filter, tracker.filter), alternatives=others)
     seen = colours_of(anew.rig, settings, state.colours)
-    search = state.search if pattern else SearchState()
-    return state._replace(rebuilt=None, search=search, colours=seen), anew
+    return state._replace(rebuilt=None, search=_kept_search(state, anew), colours=seen), anew
+
+
+def _kept_search(state: TrackState, anew: Tracker) -> Any:
+    """Return the state of the detector for another tracker."""
+    return state.search if anew.method.keeps_search else SearchState()
 
 
 def _stages(
@@ -175,7 +178,7 @@ def _with_new_pose(
         phase=phase,
         filter=filtered,
         lookalikes=StaticDistractors(),
-        search=state.search if anew.method is TEXTURE else SearchState(),
+        search=_kept_search(state, anew),
         watch=watch,
         rebuilt=anew,
     )

@@ -71,8 +71,8 @@ class Hypotheses:
         """
 
 # spheremouse/ball/texture/align.cpp and learn.cpp. A picture has the contrast of each cell, (6, n, n), and its weight.
-# The samples are contrast (h, w), direction (r, c, 3) obj, log odds to turn with the ball (r, c), contrast before
-# (r, c) or nan, and their distance in px.
+# The samples are contrast (h, w), direction (r, c, 3) obj, log odds to turn with the ball (r, c), contrast of
+# light that stands still (r, c), and their distance in px.
 
 _Narrow = NDArray[np.float32]
 _Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, int]

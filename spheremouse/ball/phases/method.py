@@ -48,6 +48,7 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
 
 SO3 = Method(
     keeps_map=True,
+    keeps_search=False,
     exact_centres=True,
     detect=detect_discs,
     next_phase=_next_phase,

@@ -58,6 +58,7 @@ def _update_all(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
 
 PUBLISHED = Method(
     keeps_map=False,
+    keeps_search=False,
     exact_centres=False,
     detect=detect_everywhere,
     next_phase=_next_phase,

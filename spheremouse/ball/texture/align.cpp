@@ -9,9 +9,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr float LEAST_WEIGHT = 0.08f;  // of a cell: one oblique view
-constexpr float STATIC_ODDS = -3.0f;   // log odds below which a pixel does not turn with the ball
-constexpr int MOST = 6000;             // pixels: more add time and little information
+constexpr int MOST = 6000;  // pixels: more add time and little information
 constexpr int MOST_ROUNDS = 12;
 constexpr double CONVERGED = 1e-5;  // rad: a five hundredth of a pixel on a ball of 400 px; the anchors have the rest
 constexpr float YOUNG = 3.0f;       // views: the place of a cell with few follows the frames that taught it

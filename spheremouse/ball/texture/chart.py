@@ -1,7 +1,7 @@
 """Chart of the side of the ball that faces the camera: equal steps from its middle are equal angles of the ball.
 
-The projection is azimuthal equidistant (Snyder 1987, "Map projections: a working manual", section 25). On it a detail
-of the ball has about the same size and shape wherever it is, so its contrast changes little while it turns.
+The projection is azimuthal equidistant (Snyder 1987, "Map projections: a working manual", section 25). A detail of
+the ball has about the same size and shape anywhere on the chart, so its contrast changes little while it turns.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ class Chart(NamedTuple):
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether each pixel, (size, size), shows the ball and not too obliquely."""
+        """True for each pixel, (size, size), that shows the ball and not too obliquely."""
         return self.facing(self.directions()) > _LEAST_FACING
 
     def facing(self, directions: Array) -> Array:

@@ -4,8 +4,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr float FACING = 0.3f;  // cosine between ray and normal from which a place is learnt
-constexpr float STATIC_ODDS = -3.0f;
+constexpr float FACING = 0.3f;          // cosine between ray and normal from which a place is learnt
 constexpr float APART = 9.0f;           // squared standard deviations from which two explanations differ
 constexpr float MOST_PER_FRAME = 3.0f;  // nats: one frame proves little
 constexpr float DOUBLE = 2.0f;          // views of a tile, after which it is learnt half as often
@@ -154,7 +153,7 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
         const float now = samples.at(row, i % samples.columns);
         float &before = mean.data()[i], &light = offset.data()[i];
         const Look seen = look(picture, R.transpose() * samples.towards(i));
-        if (seen.weight > 0.08f) {
+        if (seen.weight > LEAST_WEIGHT) {
             const float apart = before - seen.value, stays = now - before, turns = now - seen.value;
             if (apart * apart > APART * variance) {
                 const float nats = 0.5f * (stays * stays - turns * turns) / variance;

@@ -30,6 +30,7 @@ from spheremouse.ball.state import (
     start_tracking,
 )
 from spheremouse.ball.texture.picture import (
+    SHOWS,
     STATIC_ODDS,
     Alignment,
     Floats,
@@ -142,7 +143,7 @@ def _with_contrast(
 def _details(detector: TextureDetector, now: TextureState) -> int:
     """Return the number of coarse samples that show a detail, and may turn."""
     seen, step = now.coarse.seen, detector.coarse.step
-    shows = np.abs(seen.contrast[::step, ::step]) > 2.0 * now.noise
+    shows = np.abs(seen.contrast[::step, ::step]) > SHOWS * now.noise
     return int(np.count_nonzero(shows & (seen.counts > STATIC_ODDS)))
 
 
@@ -299,6 +300,7 @@ def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted:
 
 TEXTURE = Method(
     keeps_map=True,
+    keeps_search=True,
     exact_centres=False,
     detect=detect_texture,
     next_phase=_next_phase,

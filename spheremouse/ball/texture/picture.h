@@ -9,6 +9,8 @@ namespace spheremouse::ball {
 constexpr float HALF = 1.1f;  // half the width of a face of the cube of half width 1: faces overlap, so each place on a
                               // face has four cells around it
 constexpr int TILE = 8;       // cells along the edge of a tile
+constexpr float LEAST_WEIGHT = 0.08f;  // of a cell: one oblique view
+constexpr float STATIC_ODDS = -3.0f;   // log odds below which a sample does not turn with the ball
 
 using Vector3f = Eigen::Vector3f;
 using Matrix3f = Eigen::Matrix3f;

@@ -24,7 +24,7 @@ from spheremouse.native import kernels
 
 Floats = NDArray[np.float32]
 
-STATIC_ODDS = -3.0  # log odds below which a sample does not turn with the ball, as `align.cpp` has it
+STATIC_ODDS = -3.0  # log odds below which a sample does not turn with the ball, as `picture.h` has it
 _NOISE = 0.01  # of a contrast, without image noise: shading
 _TILE = 8  # cells along the edge of a tile
 _HALF = 1.1  # half the width of a face, as `picture.h` has it
@@ -34,7 +34,7 @@ _SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one 
 _ROUNDING = 0.4  # grey values, of mean and interpolation
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
-_SAME, _SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
+_SAME, SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
 _OF_LATE = 0.2  # of a frame in the mean contrast
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 _FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball well
@@ -177,7 +177,7 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
     """
     now = contrast[:: view.step, :: view.step]
     same = (np.abs(now - seen.first) < _SAME * noise) & (seen.odds < -STATIC_ODDS)
-    detail = np.abs(now) > _SHOWS * noise
+    detail = np.abs(now) > SHOWS * noise
     nothing = np.float32(-np.inf)
     counts, turning = np.where(same & detail, nothing, seen.least), np.where(same, nothing, seen.least)
     return seen._replace(contrast=contrast, counts=counts, turning=turning)
@@ -185,10 +185,9 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
-    samples = _samples(view, seen._replace(counts=seen.turning))
     return Alignment(
         *kernels.align_texture(
-            samples,
+            _samples(view, seen, seen.turning),
             (picture.value, picture.weight),
             attitude,
             noise,
@@ -210,7 +209,7 @@ def learn(
     """
     learnt = Picture(*(part.copy() for part in picture))
     kernels.learn_texture(
-        _samples(view, seen),
+        _samples(view, seen, seen.counts),
         learnt[:2],
         learnt.known,
         view.chart,
@@ -250,20 +249,20 @@ def weigh(
     """
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
-    kernels.weigh_static(_samples(view, seen), picture[:2], attitude, after, noise, _OF_LATE, settle, turn)
+    kernels.weigh_static(_samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, turn)
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     least = cv2.erode(cv2.medianBlur(odds, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
 
 
-def _samples(view: TextureView, seen: Seen) -> tuple[Floats, Floats, Floats, Floats, int]:
-    """Return the samples as the native functions have them."""
-    return seen.contrast, view.direction, seen.counts, seen.offset, view.step
+def _samples(view: TextureView, seen: Seen, odds: Floats) -> tuple[Floats, Floats, Floats, Floats, int]:
+    """Return the samples as the native functions have them, with their log odds."""
+    return seen.contrast, view.direction, odds, seen.offset, view.step
 
 
 def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:
     """Return the correlation, (n,), of a frame and the picture at attitudes, (n, 3, 3), by the `most` best samples."""
-    samples = _samples(view, seen)
+    samples = _samples(view, seen, seen.counts)
     return kernels.correlate_texture(samples, picture[:2], np.ascontiguousarray(attitudes), most)
 
 
