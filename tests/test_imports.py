@@ -1,9 +1,11 @@
-"""Every module can be imported, with whatever is installed: what a library has renamed shows here first."""
+"""What importing loads, and what pure rooms do not call."""
 
+import ast
 import importlib
 import pkgutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -28,3 +30,32 @@ def test_a_ball_is_tracked_without_scipy():
     run = f"app(['run', '--source', 'dataset:{CLIP}', '--frames', '2', '--output', 'null'], standalone_mode=False)"
     code = f"import sys; from spheremouse.commands import app; {run}; assert 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+ROOT = Path(__file__).parents[1]
+
+
+def pure():
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    contract = next(c for c in tools["importlinter"]["contracts"] if c["id"] == "pure")
+    for name in contract["source_modules"]:
+        place = ROOT / name.replace(".", "/")
+        found = [*place.rglob("*.py")] if place.is_dir() else [place.with_suffix(".py")]
+        assert found
+        yield from found
+
+
+def called(text):
+    return [
+        f"{node.lineno} calls {node.func.id}"
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in {"open", "print", "input"}
+    ]
+
+
+def test_the_pure_rooms_open_no_file_and_print_nothing():
+    assert {str(p): found for p in pure() if (found := called(p.read_text(encoding="utf-8")))} == {}
+
+
+def test_the_walk_sees_what_it_looks_for():
+    assert called("def f():\n    with open('x') as g:\n        print(g)") == ["2 calls open", "3 calls print"]

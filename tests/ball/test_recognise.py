@@ -1,4 +1,4 @@
-"""A ball recognised by its saved map: what lies beside it in the picture must neither hide nor replace it."""
+"""A map of another run, and the ball's first turn."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.events import Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
 from spheremouse.geometry.rotation import exp, hat, log
@@ -136,3 +137,36 @@ def test_a_rotation_common_to_all_discs_makes_none_less_certain():
     A = -(start.basis.transpose(0, 2, 1) @ hat(discs)).reshape(-1, 3)
     turned = DiscMap(discs, known.covariance + 0.2**2 * A @ A.T, known.sightings)
     assert_allclose(begin(tracker, 0.0, known=turned).filter.map_sigma(), start.map_sigma(), rtol=1e-6)
+
+
+TWO = np.array([[0.35, 0.2, 0.0], [-0.3, -0.35, 0.0]])
+TWO[:, 2] = np.sqrt(1.0 - np.sum(TWO**2, axis=1))
+
+
+def events_of(places, seed):
+    """Events of 40 frames whose points are at `places(t)`, (n, 2) px."""
+    rng = np.random.default_rng(seed)
+    tracker = build(RIG, POSE, Settings())
+    state, events = begin(tracker, 0.0), []
+    for k in range(40):
+        state, _, more = advance(state, k * DT, detected(places(k * DT), rng), tracker)
+        events += more
+    return events, state
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.3, 0.8, 0.2), (0.0, 0.2, 1.0)])
+def test_two_discs_tell_the_first_turn_and_mask_what_stays(axis, seed):
+    w = 0.5 * np.array(axis) / np.linalg.norm(axis)
+    bolt = np.array([[300.0, 150.0]])
+    events, state = events_of(lambda t: np.concatenate([pixels(TWO @ exp(w * t).T), bolt]), seed)
+    assert any(isinstance(e, Turned) for e in events)
+    assert len(state.lookalikes.masks) == 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("way", [(40.0, 5.0), (-10.0, 40.0)])
+def test_two_spots_that_are_carried_past_the_ball_turn_nothing(way, seed):
+    start = pixels(TWO)
+    events, _ = events_of(lambda t: start + t * np.array(way), seed)
+    assert not any(isinstance(e, Turned) for e in events)

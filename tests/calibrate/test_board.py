@@ -1,10 +1,14 @@
-"""board.yaml: written by one command, read by another, and by a person in between."""
+"""The board, and what a calibration writes."""
+
+import shlex
+from pathlib import Path
 
 import pytest
 
 from spheremouse.calibrate import board
 from spheremouse.calibrate.board import NAME, Pattern, board_options, known_board, load_board, save_board
-from spheremouse.errors import ConfigurationError
+from spheremouse.calibrate.outputs import check_outputs, copyable
+from spheremouse.errors import CalibrationError, ConfigurationError
 
 
 @pytest.mark.parametrize("board", [Pattern(), Pattern(9, 6, 0.0201), Pattern(9, 6, 0.03, 0.022, "DICT_4X4_50")])
@@ -45,3 +49,46 @@ def test_the_folder_s_own_board_comes_before_the_printed_one(tmp_path, monkeypat
     (tmp_path / "cabinet").mkdir()
     save_board(tmp_path / "cabinet" / NAME, Pattern(square=0.0399, marker=0.03))
     assert board_options(tmp_path / "cabinet") == ["--board", "11x8", "--square", "39.9mm", "--marker", "30mm"]
+
+
+@pytest.fixture
+def cabinet(tmp_path):
+    (tmp_path / "device").mkdir()
+    for name in ("device/1.jpg", "device.yaml", "camera.yaml", "old.yaml"):
+        (tmp_path / name).write_text("mine")
+    return tmp_path
+
+
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize(
+    ("outputs", "words"),
+    [
+        (["device.yaml"], "is read by this very command"),
+        (["device/../camera.yaml"], "is read by this very command"),
+        (["device/1.jpg"], "is read by this very command"),
+        (["rig.yaml", "rig.yaml"], "written twice"),
+        (["device"], "is a folder"),
+        (["nowhere/rig.yaml"], "there is no folder"),
+    ],
+)
+def test_no_output_destroys_an_input_or_another_output(cabinet, outputs, words, force):
+    inputs = [cabinet / "device", cabinet / "device.yaml", cabinet / "camera.yaml", None]
+    with pytest.raises(CalibrationError, match=words):
+        check_outputs([cabinet / name for name in outputs], inputs, force)
+
+
+def test_what_is_there_is_replaced_with_force_only(cabinet):
+    with pytest.raises(CalibrationError, match=r"old\.yaml: there already.*--force"):
+        check_outputs([cabinet / "old.yaml"], [], False)
+    check_outputs([cabinet / "old.yaml", cabinet / "new.yaml", Path("-"), None], [cabinet / "device"], True)
+
+
+def test_folder_that_may_not_be_written_is_refused_beforehand(cabinet, monkeypatch):
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
+    with pytest.raises(CalibrationError, match="may not be written"):
+        check_outputs([cabinet / "rig.yaml"], [], False)
+
+
+def test_commands_survive_a_shell():
+    words = ["spheremouse", "run", "--rig", Path("Kamera Ü ñ/it's.yaml")]
+    assert shlex.split(copyable(*words)) == [str(w) for w in words]

@@ -1,12 +1,16 @@
-"""Laws of rotations, against SciPy and finite differences."""
+"""Rotations, pairs, and statistics."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
+from scipy import stats
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from spheremouse.geometry.matching import assign, mutual_nearest, suppress
 from spheremouse.geometry.rotation import (
     align,
     euler_rate_matrix,
@@ -18,6 +22,8 @@ from spheremouse.geometry.rotation import (
     tangent_basis,
     to_euler,
 )
+from spheremouse.geometry.statistics import gate, mad_sigma, poisson_tail, ratio_gate
+from spheremouse.native import kernels
 
 
 def vectors(limit):
@@ -145,3 +151,77 @@ def test_align_is_scipys_align_vectors(v, seed):
     w = rng.uniform(0.1, 2.0, 8)
     assert_allclose(align(a, b), Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
     assert_allclose(align(a, b, w), Rotation.align_vectors(b, a, weights=w)[0].as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_matching_maximises_the_total(seed):
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(1, 9, size=2)
+    worth = rng.normal(size=(n, m)) + (1.0 if seed % 2 else -0.5)
+    if seed % 3 == 0:
+        worth = np.round(worth)  # ties
+    column = kernels.match(worth)
+    rows = np.flatnonzero(column >= 0)
+    assert len(set(column[rows])) == len(rows)
+    gain = np.maximum(worth, 0.0)
+    i, j = linear_sum_assignment(gain, maximize=True)
+    assert_allclose(worth[rows, column[rows]].sum(), gain[i, j].sum(), atol=1e-12)
+    assert np.all(worth[rows, column[rows]] > 0.0)
+
+
+costs = hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=5).flatmap(
+    lambda shape: hnp.arrays(float, shape, elements=st.floats(0.0, 10.0) | st.sampled_from([np.inf, np.nan]))
+)
+
+
+@given(costs, st.floats(0.5, 8.0))
+def test_assignment_minimises_the_cost_if_each_row_may_stay_alone_for_the_gate(cost, gate):
+    rows, columns = assign(cost, gate)
+    assert len(set(rows)) == len(rows) == len(columns) == len(set(columns))
+    assert np.all(cost[rows, columns] < gate)
+    least = np.minimum(np.nan_to_num(cost, nan=np.inf), gate)
+    total = cost[rows, columns].sum() + (min(cost.shape) - len(rows)) * gate
+    assert_allclose(total, least[linear_sum_assignment(least)].sum(), atol=1e-9)
+
+
+def test_mutual_nearest_pairs_are_each_other_s_nearest():
+    distance = np.random.default_rng(0).random((7, 9))
+    distance[2] = np.inf
+    columns = mutual_nearest(distance)
+    for i, j in np.ndindex(distance.shape):
+        assert (columns[i] == j) == (i != 2 and distance[i, j] == distance[i].min() == distance[:, j].min())
+    assert np.count_nonzero(columns >= 0) > 2
+    assert len(mutual_nearest(distance[:0])) == 0
+    assert np.all(mutual_nearest(distance[:, :0]) == -1)
+
+
+@pytest.mark.parametrize("norm", [2.0, np.inf])
+def test_suppression_keeps_the_first_of_each_neighbourhood(norm):
+    points = np.random.default_rng(0).random((60, 2))
+    radius = np.linspace(0.05, 0.2, 60)
+    kept = suppress(points, radius, norm).tolist()
+    assert 10 < len(kept) < 60
+    for i in range(60):
+        hidden = any(np.linalg.norm(points[i] - points[k], norm) <= radius[k] for k in kept if k < i)
+        assert (i in kept) != hidden
+    assert len(suppress(points[:0], radius[:0])) == 0
+
+
+def test_the_sigma_is_that_of_the_errors_however_gross_some_are():
+    errors = np.random.default_rng(2).normal(size=(100000, 2)) * [0.5, 3.0]
+    assert mad_sigma(errors) == pytest.approx([0.5, 3.0], rel=0.02)
+    errors[::50] *= 1e6
+    assert mad_sigma(errors) == pytest.approx([0.5, 3.0], rel=0.05)
+    assert mad_sigma(errors[:, 0]) == mad_sigma(errors)[0]
+
+
+@pytest.mark.parametrize("mean", [0.0, 0.3, 2.0, 30.0])
+def test_the_tail_of_a_poisson_variable_is_that_of_scipy(mean):
+    k = np.arange(-1, 60)
+    assert_allclose([poisson_tail(int(i), mean) for i in k], stats.poisson.sf(k, mean), atol=1e-14)
+
+
+def test_gates_are_quantiles():
+    for p, dof in ((0.999, 1.0), (0.999, 2.0), (0.5, 7.0), (1.0 - 1e-9, 40.0)):
+        assert_allclose(gate(p, dof), stats.chi2.ppf(p, dof), rtol=1e-7)
+        assert_allclose(ratio_gate(p, dof, 12.0), stats.f.ppf(p, dof, 12.0), rtol=1e-6)

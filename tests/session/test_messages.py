@@ -1,14 +1,22 @@
-"""What is said of the ball: each event in words, as they have been since the first log."""
+"""What a person reads of a run."""
+
+import math
 
 import numpy as np
 import pytest
+from seats import LOOKS
 
 from spheremouse.ball import events
 from spheremouse.ball.detect.diagnosis import Absence, Cause
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Doubt, Why
+from spheremouse.output.counts import MotionSettings
+from spheremouse.output.wand_mapping import PointingSettings
+from spheremouse.session.directions import of_ball, of_hand
 from spheremouse.session.messages import line, no_discs, reason, refusal, remedy, why_absent, withheld
-from spheremouse.tracker import Event
+from spheremouse.session.screen import Tally
+from spheremouse.session.timing import Arrivals
+from spheremouse.tracker import Event, unknown
 
 SENTENCES = {
     events.Found(7): "tracking: 7 discs in view",
@@ -82,3 +90,84 @@ def test_a_ball_without_discs_in_words():
         "only 2 discs found on the ball for 2 s: it is nearly black (3 of 255); uncover the lens, light the ball, or "
         "expose longer (camera.exposure_s)"
     )
+
+
+def test_the_closing_line_has_what_was_sent_and_which_frames_were_left_out():
+    tally = Tally()
+    for _ in range(3):
+        tally.add((10, -4, 1), 0.001)
+    assert str(tally).startswith("3 frames; counts x +30, y -12, third +3; ")
+    assert "not sent" not in str(tally)
+    assert "left out" not in str(tally)
+    tally.unsent = lambda: (5, 0, -1)
+    tally.left_out = {"skipped": 2, "dropped": 0, "damaged": 1}
+    assert tally.counts == (25, -12, 4)
+    assert str(tally).startswith("3 frames; counts x +25, y -12, third +4; ")
+    assert str(tally).endswith("; not sent: x +5, y +0, third -1; frames left out: 2 skipped, 1 damaged")
+
+
+def test_a_run_without_a_tracked_frame_says_what_became_of_all():
+    tally = Tally()
+    assert str(tally) == "no frame tracked"
+    tally.left_out = {"before anything could be tracked": 60}
+    assert str(tally) == "no frame tracked; frames left out: 60 before anything could be tracked"
+
+
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def at(turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
+    return unknown(1.0)._replace(rate=np.array([*turn, *shift]), confirmed=True)
+
+
+@pytest.mark.parametrize("player", LOOKS)
+def test_the_top_of_the_ball_goes_where_it_is_said_to_go(player):
+    said = of_ball(MotionSettings(player=player, invert_x=True, invert_y=True, scale_x=5.0)).motion
+    ahead = np.array(LOOKS[player], dtype=float)
+    right = np.cross(ahead, UP)
+    for hand, words in ((right, "right"), (-right, "left"), (ahead, "away from you"), (-ahead, "towards you")):
+        turn = np.radians(30.0) * np.cross(UP, hand)
+        assert said(at(turn)).words == f"{words} 30 °/s"
+    spin = said(at(np.radians(-12.4) * UP))
+    assert (spin.rate, spin.unit) == (pytest.approx([0.0, 0.0, -12.4]), "°/s")
+    assert spin.words == "clockwise 12 °/s"
+
+
+def test_small_parts_are_not_worth_a_word_and_nothing_is_rest():
+    said = of_ball(MotionSettings()).motion
+    assert said(at(np.radians([-2.0, 0.5, 40.0]))).words == "right 40 °/s"
+    assert said(at(np.radians([-6.0, 0.5, 40.0]))).words == "right 40 °/s, towards you 6 °/s"
+    assert said(at(np.radians([0.4, 0.5, -0.9]))).words == "at rest"
+
+
+@pytest.mark.parametrize("facing", [True, False])
+def test_a_hand_goes_where_it_is_said_to_go(facing):
+    """Who holds it looks along -z of the camera, or along z; up is -y."""
+    look = np.array([0.0, 0.0, -1.0 if facing else 1.0])
+    down = np.array([0.0, 1.0, 0.0])  # cam
+    right = np.cross(down, look)
+    shifted = of_hand(PointingSettings(by="shift", facing=facing)).motion
+    for way, words in (
+        (right, "right"),
+        (-right, "left"),
+        (down, "down"),
+        (-down, "up"),
+        (look, "ahead"),
+        (-look, "back"),
+    ):
+        assert shifted(at(shift=0.25 * way)).words == f"{words} 0.25 m/s"
+    turned = of_hand(PointingSettings(facing=facing)).motion
+    for point, words in ((right, "right"), (-right, "left"), (down, "down"), (-down, "up")):
+        turn = np.radians(50.0) * np.cross(look, point)  # what points ahead goes that way
+        assert turned(at(turn)).words == f"{words} 50 °/s"
+    clockwise = np.cross(-down, right)  # what points up goes right
+    assert turned(at(np.radians(50.0) * clockwise)).words == "clockwise 50 °/s"
+
+
+def test_the_time_left_is_that_until_the_next_frame_of_a_steady_camera():
+    arrivals = Arrivals()
+    assert math.isnan(arrivals.time_left(0.0))
+    for k in range(60):
+        arrivals.add(k / 50.0)
+    assert arrivals.time_left(59 / 50.0 + 0.005) == pytest.approx(0.015)
+    assert arrivals.time_left(59 / 50.0 + 0.030) == pytest.approx(-0.010)

@@ -1,4 +1,4 @@
-"""The control socket's file: where it is, who may use it, and whose it is."""
+"""The control socket as a file, and a run without it."""
 
 import contextlib
 import json
@@ -16,8 +16,9 @@ from control_world import FINE, OTHER, a_group, answer
 from spheremouse.errors import ControlError
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.control.server import ControlServer
-from spheremouse.session.settings import ControlSettings
+from spheremouse.session.control.server import ControlServer, Endpoints
+from spheremouse.session.control.socket_file import SOCKET
+from spheremouse.session.settings import ControlSettings, MetricsSettings
 
 as_root = pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
 
@@ -226,3 +227,43 @@ def test_a_client_finds_the_daemon_that_answers(bare, monkeypatch):
             assert socket_file.find_socket() == user
         monkeypatch.setenv("SPHEREMOUSE_SOCKET", "/elsewhere")
         assert socket_file.find_socket() == Path("/elsewhere")
+
+
+ANYWHERE, NO_METRICS = ControlSettings(), MetricsSettings()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    return tmp_path
+
+
+def endpoints(log):
+    return contextlib.closing(Endpoints(answer, log.append, lambda: None))
+
+
+def test_a_run_goes_on_without_the_usual_socket_that_another_run_holds(folder):
+    log = []
+    with endpoints([]) as first, endpoints(log) as second:
+        first.open(ANYWHERE, NO_METRICS, dict)
+        second.open(ANYWHERE, NO_METRICS, dict)
+    assert len(log) == 1
+    assert "another daemon listens there" in log[0]
+    assert "cannot ask this run" in log[0]
+
+
+def test_a_run_without_its_configured_socket_is_refused(folder):
+    asked_for = ControlSettings(socket=str(folder / "s"))
+    with endpoints([]) as first, endpoints([]) as second:
+        first.open(asked_for, NO_METRICS, dict)
+        with pytest.raises(ControlError, match="another daemon listens there"):
+            second.open(asked_for, NO_METRICS, dict)
+
+
+def test_a_run_goes_on_without_metrics_that_cannot_be_served(folder):
+    log = []
+    with endpoints(log) as one:
+        one.open(ANYWHERE, MetricsSettings(port=9999, address="nonsense"), dict)
+        assert Client(folder / SOCKET).ask("pause")
+    assert len(log) == 1
+    assert log[0].endswith("going on without")

@@ -1,14 +1,23 @@
-"""Real time is asked for and never needed. What the whole process would feel is asked for in a process of its own."""
+"""Threads, their priority, and the service manager."""
 
+import contextlib
 import gc
 import os
+import socket
 import subprocess
 import sys
+import threading
+import time
 import weakref
+from functools import partial
 
 import pytest
+from reporting import until
 
+from spheremouse.errors import ControlError
 from spheremouse.session.process import realtime
+from spheremouse.session.process.notify import Notifier
+from spheremouse.session.process.threads import WorkerPool, as_future, begin
 
 
 def alone(code):
@@ -99,3 +108,148 @@ def test_garbage_waits_for_a_rest_and_goes_however_old_it_is():
         pause.close()
     assert gc.isenabled()
     assert sys.getswitchinterval() == pytest.approx(switch)
+
+
+@pytest.fixture
+def workers():
+    said = []
+    made = WorkerPool(("one", "two"), said.append)
+    made.said = said
+    made.begin()
+    yield made
+    made.end("one", "two")
+
+
+def test_a_kind_waits_for_its_own_and_for_no_other(workers):
+    gate, done = threading.Event(), []
+    workers.do("one", gate.wait)
+    workers.do("one", lambda: done.append("one"))
+    workers.do("two", lambda: done.append("two"))
+    until(lambda: done)
+    assert done == ["two"]
+    assert workers.busy("one")
+    gate.set()
+    until(lambda: not workers.busy("one"))
+    assert done == ["two", "one"]
+
+
+def test_an_error_is_told_and_the_next_work_is_done(workers):
+    with pytest.raises(ZeroDivisionError):
+        as_future(lambda: 1 // 0, partial(workers.do, "one")).result(20.0)
+    workers.do("one", lambda: 1 // 0)
+    assert as_future(lambda: 5, partial(workers.do, "one")).result(20.0) == 5
+    until(lambda: not workers.busy("one"))
+    assert "ZeroDivisionError" in workers.said[0]
+
+
+def test_what_was_given_is_done_before_the_end(workers):
+    done = []
+    workers.do("one", lambda: time.sleep(0.05))
+    workers.do("one", lambda: done.append(1))
+    workers.end("one")
+    assert done == [1]
+
+
+def test_a_thread_that_is_not_to_be_had_is_a_line(monkeypatch):
+    def refuse(*_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading, "_start_new_thread", refuse, raising=False)
+    monkeypatch.setattr(threading, "_start_joinable_thread", refuse, raising=False)
+    with pytest.raises(ControlError, match=r"refuses a new thread.*raise TasksMax") as e:
+        begin(threading.Thread(target=print))
+    assert len(str(e.value).splitlines()) == 1
+
+
+class Manager:
+    def __init__(self, path):
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.setblocking(False)
+        self.now = 100.0
+
+    def heard(self):
+        messages = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                messages.append(self._socket.recv(4096).decode())
+        return messages
+
+    def close(self):
+        self._socket.close()
+
+
+@pytest.fixture
+def manager(tmp_path, monkeypatch):
+    made = Manager(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    monkeypatch.delenv("WATCHDOG_PID", raising=False)
+    monkeypatch.setenv("WATCHDOG_USEC", "20000000")
+    yield made
+    made.close()
+
+
+def test_ready_status_and_end(manager):
+    notifier = Notifier()
+    notifier.ready()
+    notifier.status("tracking: all is well; 30 frames/s")
+    notifier.status("tracking: all is well; 30 frames/s")
+    notifier.status("no-camera: it said\nREADY=0")
+    notifier.stopping()
+    assert manager.heard() == [
+        "READY=1",
+        "STATUS=tracking: all is well; 30 frames/s",
+        "STATUS=no-camera: it said READY=0",  # one line, or it would be an order
+        "STOPPING=1",
+    ]
+
+
+def test_the_watchdog_is_fed_by_progress_only_and_not_at_every_frame(manager):
+    notifier = Notifier(lambda: manager.now)
+    fed = []
+    for k in range(320):  # frames for 20 s, then none for 20 s
+        manager.now += 0.125
+        notifier.progress(("frames", min(k, 160)))
+        fed += [0.125 * k] * len(manager.heard())
+    assert fed == [0.0, 5.0, 10.0, 15.0, 20.0]
+    notifier.progress(("attempts", 1))  # an attempt to open the camera is progress
+    manager.now += 60.0
+    notifier.progress(("attempts", 1))  # the same one is none: it hangs
+    assert manager.heard() == ["WATCHDOG=1"]
+    notifier.progress(("attempts", 2))
+    assert manager.heard() == ["WATCHDOG=1"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"WATCHDOG_USEC": None}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_PID": str(os.getpid() + 1)}, {"WATCHDOG_PID": "x"}],
+)
+def test_without_a_watchdog_none_is_fed(manager, monkeypatch, change):
+    for key, value in change.items():
+        monkeypatch.setenv(key, value) if value else monkeypatch.delenv(key)
+    notifier = Notifier(lambda: manager.now)
+    for k in range(5):
+        manager.now += 100.0
+        notifier.progress(k)
+    assert manager.heard() == []
+
+
+def test_nobody_listens(monkeypatch, tmp_path):
+    """No service manager, or one that has gone: nothing happens."""
+    for path in (None, str(tmp_path / "nothing")):
+        monkeypatch.setenv("NOTIFY_SOCKET", path) if path else monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+        notifier = Notifier()
+        notifier.ready()
+        notifier.status("x")
+        notifier.stopping()
+
+
+def test_a_manager_that_does_not_listen_holds_nobody_up(manager):
+    """The kernel keeps ten messages or some hundreds, and then whoever sends would wait."""
+    notifier = Notifier(lambda: manager.now)
+    for k in range(2000):
+        manager.now += 10.0
+        notifier.progress(k)
+    assert 0 < len(manager.heard()) < 2000
+    notifier.status("it listens again")
+    assert manager.heard() == ["STATUS=it listens again"]

@@ -1,8 +1,9 @@
-"""Lines by TCP: each client reads whole lines from its connection on, and none delays another."""
+"""Lines to other programs by TCP, UDP and WebSocket."""
 
 import json
 import socket
 import subprocess
+import threading
 import time
 from itertools import pairwise
 
@@ -150,3 +151,137 @@ def test_only_an_open_door_is_warned_of(host, warned, capsys):
     with open_output(f"tcp:{host}:{free_port()}") as output:
         assert isinstance(output, LineServer)
     assert ("other computers can connect" in capsys.readouterr().err) is warned
+
+
+def receiver(port=0, family=socket.AF_INET, host="127.0.0.1"):
+    bound = socket.socket(family, socket.SOCK_DGRAM)
+    bound.settimeout(PATIENCE)
+    bound.bind((host, port))
+    return bound, bound.getsockname()[1]
+
+
+def test_each_line_is_a_datagram():
+    with receiver()[0] as bound, open_output(f"udp:127.0.0.1:{bound.getsockname()[1]}") as output:
+        for k in range(5):
+            output.send(report(k, -k, 2))
+        lines = [bound.recv(65536) for _ in range(5)]
+    assert [json.loads(line)["counts"] for line in lines] == [[k, -k, 2] for k in range(5)]
+    assert all(line.endswith(b"\n") and line.count(b"\n") == 1 for line in lines)
+
+
+def test_a_receiver_may_start_late_and_again():
+    bound, port = receiver()
+    bound.close()
+    with open_output(f"udp:{port}") as output:
+        for _ in range(3):
+            for _ in range(3):
+                output.send(report(1))  # to nobody
+            bound, _ = receiver(port)
+            with bound:
+                output.send(report(2))
+                assert json.loads(bound.recv(65536))["counts"] == [2, 0, 0]
+
+
+def test_a_receiver_that_does_not_read_loses_lines_alone():
+    bound, port = receiver()
+    with bound, open_output(f"udp:{port}") as output:
+        for k in range(2000):
+            output.send(report(k))
+        assert json.loads(bound.recv(65536))["counts"] == [0, 0, 0]
+
+
+def test_ipv6():
+    bound, port = receiver(family=socket.AF_INET6, host="::1")
+    with bound, open_output(f"udp:[::1]:{port},format=counts") as output:
+        output.send(report(1, 2, 3, stamp=0.5))
+        assert bound.recv(100) == b"0.5 1 2 3\n"
+
+
+def test_where_it_sends_is_known_beforehand():
+    assert probe("udp:localhost:9")[0].text == "sends to 127.0.0.1 port 9"
+    assert "unknown host" in probe("udp:nowhere.invalid:9")[0].text
+
+
+connect = pytest.importorskip("websockets.sync.client").connect
+exceptions = pytest.importorskip("websockets.exceptions")
+
+
+@pytest.fixture
+def port():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return server.getsockname()[1]
+
+
+def send_while(output, condition):
+    """Send reports of counts 1, 2, 3 and so on while it is so."""
+    end, k = time.monotonic() + 3 * PATIENCE, 0
+    while condition():
+        assert time.monotonic() < end, "no answer"
+        output.send(report(k := k + 1, 2, 3))
+        time.sleep(0.005)
+
+
+def first_message(output, client):
+    messages = []
+    thread = threading.Thread(target=lambda: messages.append(client.recv(PATIENCE)))
+    thread.start()
+    send_while(output, thread.is_alive)
+    return messages[0]
+
+
+@pytest.mark.parametrize(
+    ("option", "origin", "admitted"),
+    [
+        ("", None, True),
+        ("", "http://localhost:8000", True),
+        ("", "https://[::1]", True),
+        ("", "null", False),
+        ("", "https://example.org", False),
+        ("", "http://localhost.example.org", False),
+        (",origin=https://example.org", "https://example.org", True),
+        (",origin=https://example.org", "https://example.com", False),
+        (",origin=null", "null", True),
+        (",origin=*", "https://example.com", True),
+    ],
+)
+def test_only_pages_of_this_computer_or_of_the_named_origin_may_connect(option, origin, admitted, port):
+    with open_output(f"ws:{port}{option}") as output:
+        if admitted:
+            with connect(f"ws://127.0.0.1:{port}", origin=origin) as client:
+                assert json.loads(first_message(output, client))["counts"][1:] == [2, 3]
+        else:
+            with pytest.raises(exceptions.InvalidStatus) as e:
+                connect(f"ws://127.0.0.1:{port}", origin=origin)
+            assert e.value.response.status_code == 403
+
+
+def test_the_header_of_a_format_is_the_first_message_and_pings_are_answered(port):
+    with open_output(f"ws:{port},format=counts") as output, connect(f"ws://127.0.0.1:{port}") as client:
+        assert client.ping().wait(PATIENCE)
+        assert client.recv(PATIENCE) == "# stamp dx dy dz (s, counts)"
+        output.send(report(1, 2, 3, stamp=0.5))
+        assert client.recv(PATIENCE) == "0.5 1 2 3"
+
+
+def test_closing_says_so(port):
+    with open_output(f"ws:{port}") as output, connect(f"ws://127.0.0.1:{port}") as client:
+        assert client.ping().wait(PATIENCE)
+        output.close()
+        with pytest.raises(exceptions.ConnectionClosed) as e:
+            client.recv(PATIENCE)
+    assert e.value.rcvd.code == 1001
+
+
+def test_a_client_that_speaks_no_websocket_is_no_trouble(port):
+    with open_output(f"ws:{port}") as output:
+        for words in (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\0" * 70_000, b"", b"GET / HTTP/1.1\r\n"):
+            with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as rude:
+                try:
+                    rude.sendall(words)
+                    rude.shutdown(socket.SHUT_WR)
+                    while rude.recv(65536):
+                        pass
+                except OSError:  # it was reset
+                    continue
+        with connect(f"ws://127.0.0.1:{port}") as client:
+            assert json.loads(first_message(output, client))["counts"][1:] == [2, 3]
