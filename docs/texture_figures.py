@@ -22,7 +22,8 @@ import numpy as np
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import step
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluation.metrics import Reference, report
+from spheremouse.evaluation.metrics import report
+from spheremouse.evaluation.run import Reference
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.session.evaluate import BallRun, run_ball

@@ -12,7 +12,7 @@ from experiments.kit import detections, r1
 from experiments.kit.film import Film, film_like_s1, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Table, tidy
-from spheremouse.evaluation.metrics import Run
+from spheremouse.evaluation.run import Run
 
 TITLE = "Filter models (Wittich 2017, table 19)"
 THESIS = (  # film, filter, correlation, rates °/s, mouse speed px/s

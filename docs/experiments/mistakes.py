@@ -21,7 +21,8 @@ from experiments.kit.tour import FAR_OFF, FOLLOWED, SHARE, brief, filmed, suited
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
-from spheremouse.evaluation.metrics import Run, surface_travel
+from spheremouse.evaluation.metrics import surface_travel
+from spheremouse.evaluation.run import Run
 from spheremouse.geometry.rotation import Array, log
 
 TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"

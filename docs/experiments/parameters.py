@@ -13,7 +13,7 @@ from experiments.kit import detections, r1
 from experiments.kit.film import Film, film_like_s1, settings_of, tracked
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy
-from spheremouse.evaluation.metrics import Run
+from spheremouse.evaluation.run import Run
 
 TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis

@@ -13,7 +13,7 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
-    from spheremouse.evaluation.metrics import Run
+    from spheremouse.evaluation.run import Run
     from spheremouse.evaluation.trackball import Match, Verdict
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.run_config import RunConfig

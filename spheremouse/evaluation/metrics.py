@@ -6,111 +6,21 @@ vectors in place of differences of Euler angles.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.smooth import observe, smooth
-from spheremouse.ball.state import Epoch, Tracker, current
-from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.evaluation.bound import MATCH, Bound, distances, measured, posterior_bound, semi_minor_axes
+from spheremouse.ball.truth import Truth
+from spheremouse.evaluation.bound import Bound, measured, posterior_bound, semi_minor_axes
+from spheremouse.evaluation.detection import detection_quality, mean_discs
+from spheremouse.evaluation.run import Reference, Run, number
 from spheremouse.evaluation.scale import scale_and_drift
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.tracker import Status
 
-MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
-MIN_AXIS = 1.25  # px, semi-minor axis: below that both rims of a disc are one blur, however large the picture
-_TURNING = (0, 1, 2, 6, 7, 8)  # of an estimate's covariance: rotation and its rate
 _RANK = 1e-9  # eigenvalues below this part of the largest are none
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Results of a tracker, one entry for each of the n frames that it was given."""
-
-    frame: NDArray[np.intp]  # (n,) index into the recording
-    stamp: Array  # (n,) s
-    status: tuple[Status, ...]  # (n,)
-    attitude: Array  # (n, 3, 3) R_obj_ball
-    rate: Array  # (n, 3) rad/s, w_obj
-    rotation: Array  # (n, 3) rad, rotation vector in obj that was sent as motion with this frame
-    covariance: Array  # (n, 6, 6) of rotation error (rad, obj) and rate (rad/s)
-    absolute: NDArray[np.bool_]  # (n,) the attitude is in the frame of a saved map
-    detected: tuple[Array, ...]  # (n,) of (k, 2) px: all candidates of the detector
-    used: tuple[Array, ...]  # (n,) of (k, 2) px: those that took part in the filter's update
-    seconds: dict[str, Array]  # stage -> (n,) s, measured by the caller
-    nis: Array | None = None  # (n,) normalised innovation squared of the filter's update; None: it has none
-
-    @property
-    def tracked(self) -> NDArray[np.intp]:
-        """Indices, (k,), of the frames in Status.TRACKING."""
-        return np.flatnonzero([p is Status.TRACKING for p in self.status])
-
-    @property
-    def steps(self) -> NDArray[np.intp]:
-        """Indices, (k,), of the tracked frames after a tracked frame."""
-        return self.tracked[np.isin(self.tracked - 1, self.tracked)]
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """The truth of a recording; None for parts that it does not contain."""
-
-    motion: Truth | None = None
-    discs: DiscTruth | None = None
-    pose: Pose | None = None  # of the camera
-    directions: Array | None = None  # (m, 3) unit vectors to the discs, ball
-
-
-@dataclass(slots=True)
-class History:
-    """Results of a run, frame by frame, without the pictures, as `evaluate` collects them."""
-
-    epochs: list[Epoch] = field(default_factory=list)
-
-    def add(self, epoch: Epoch) -> None:
-        """Add a frame's results, without its image."""
-        self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
-
-    def smoothed(self, tracker: Tracker[So3Filter]) -> "History":
-        """Return the history with the estimates of the fixed-interval smoother in place of the filter's."""
-        filters = [current(e.state, tracker).filter for e in self.epochs]
-        seen = [
-            observe(e.estimate, e.state.filter, e.state.points, f) for e, f in zip(self.epochs, filters, strict=True)
-        ]
-        estimates = smooth(seen, tracker.settings.so3)
-        return History([replace(e, estimate=s) for e, s in zip(self.epochs, estimates, strict=True)])
-
-    def run(self) -> Run:
-        """Return the results as arrays for the metrics."""
-        epochs, n = self.epochs, len(self.epochs)
-        states = [e.state for e in epochs]
-        return Run(
-            frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
-            stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
-            status=tuple(s.status for s in states),
-            attitude=np.array([e.estimate.rotation for e in epochs]).reshape(n, 3, 3),
-            rate=np.array([e.estimate.rate[:3] for e in epochs]).reshape(n, 3),
-            rotation=np.array([e.estimate.increment[:3] for e in epochs]).reshape(n, 3),
-            covariance=np.array([e.estimate.covariance[np.ix_(_TURNING, _TURNING)] for e in epochs]).reshape(n, 6, 6),
-            absolute=np.array([s.absolute for s in states], dtype=bool),
-            detected=tuple(s.detections.centre for s in states),
-            used=tuple(e.used for e in epochs),
-            seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
-            nis=_innovations(epochs),
-        )
-
-
-def _innovations(epochs: list[Epoch]) -> Array | None:
-    """Return the normalised innovation squared of each update, (n,); None if the filter does not report it."""
-    values = [e.estimate.statistics.get("nis") for e in epochs]
-    return None if None in values else np.array(values, dtype=float)
 
 
 def report(
@@ -316,68 +226,6 @@ def identified_from(run: Run) -> int | None:
 # ---- detection, pose, time ----
 
 
-def mean_discs(run: Run) -> float | None:
-    """Return the number of discs in the filter's update, the mean over the tracked frames; None without such frames.
-
-    It is comparable with the mean number of stored markers of Wittich 2017, tables 20 and 23. That filter forgets discs
-    that it does not see, so it stores those used and those new (5.2 and 0.1 on `far26`). The size of a lasting map
-    would not be comparable.
-    """
-    kept = run.tracked
-    return float(np.mean([len(run.used[i]) for i in kept])) if len(kept) else None
-
-
-def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = None) -> dict[str, float | None]:
-    """Compare detections with the true discs, over all frames that the tracker was given.
-
-    - recall: fraction of the wholly visible discs of at least MIN_AREA px² with a detection within MATCH px of the true
-      centre. Each detection counts for one disc.
-    - false_share: fraction of the points used by the filter that are farther than MATCH px from every disc in view.
-    - centre_rms_px: RMS error of the centre per axis, over the discs found.
-    - recall_15 and centre_rms_60_px: the same for discs of at least 15 and 60 px².
-    - recall_axis: recall of discs with a `semi_minor` axis, (k,) px for the rows of `truth`, of at least MIN_AXIS.
-      These are the same discs at any size of the picture. None without `semi_minor`.
-
-    A value without discs or points is None.
-    """
-    whole = truth.state == VISIBLE
-    asked = whole & (truth.area >= MIN_AREA)
-    given = np.isin(truth.frame, run.frame)
-    found, offset = _found(run, truth, asked)
-    large = offset[truth.area[found] >= 60.0]
-    points = false = 0
-    for frame, used in zip(run.frame, run.used, strict=True):
-        centre = truth.centre[(truth.frame == frame) & (truth.state != HIDDEN)]
-        points += len(used)
-        false += int(np.count_nonzero(~(distances(used, centre).min(axis=1, initial=np.inf) <= MATCH)))
-    long = np.zeros_like(whole) if semi_minor is None else whole & (semi_minor >= MIN_AXIS)
-    return {
-        "recall": _ratio(len(found), np.count_nonzero(asked & given)),
-        "false_share": _ratio(false, points),
-        "centre_rms_px": number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
-        "recall_15": _ratio(
-            np.count_nonzero(truth.area[found] >= 15.0), np.count_nonzero(asked & given & (truth.area >= 15.0))
-        ),
-        "recall_axis": _ratio(len(_found(run, truth, long)[0]), np.count_nonzero(long & given)),
-        "centre_rms_60_px": number(np.sqrt(np.mean(large**2))) if len(large) else None,
-    }
-
-
-def _found(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
-    """Return the rows of `truth` among those `asked`, (k,), with a detection, (n,), and its offset, (n, 2) px."""
-    rows, offsets = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
-    for frame, detected in zip(run.frame, run.detected, strict=True):
-        k = np.flatnonzero(asked & (truth.frame == frame))
-        i, j = assign(distances(truth.centre[k], detected), MATCH)
-        rows.append(k[i])
-        offsets.append(detected[j] - truth.centre[k[i]])
-    return np.concatenate(rows), np.concatenate(offsets)
-
-
-def _ratio(part: int | np.intp, whole: int | np.intp) -> float | None:
-    return float(part / whole) if whole else None
-
-
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
     """Return the error of the camera's pose, `found` less `true`, in the axes of `obj`, and its standard deviations.
 
@@ -443,11 +291,6 @@ def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
     sights = measured(frames.tolist(), run.detected[span], discs)
     at = Truth(motion.stamp[frames], motion.attitude[frames], motion.rate[frames])
     return posterior_bound(at, sights, directions, rig, pose).take(kept - kept[0])
-
-
-def number(x: Any) -> float | None:
-    """Return a float; None if x is not finite."""
-    return float(x) if np.isfinite(x) else None
 
 
 def _numbers(x: Array) -> list[float | None]:

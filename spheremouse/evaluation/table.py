@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from spheremouse.evaluation.metrics import MIN_AREA, MIN_AXIS
+from spheremouse.evaluation.detection import MIN_AREA, MIN_AXIS
 
 Rows = tuple[tuple[str, Callable[[dict[str, Any]], str]], ...]  # label, and cell of a report
 

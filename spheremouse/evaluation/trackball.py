@@ -14,7 +14,8 @@ from typing import NamedTuple, get_args
 import numpy as np
 from scipy.signal import correlate
 
-from spheremouse.evaluation.metrics import Run, pearson
+from spheremouse.evaluation.metrics import pearson
+from spheremouse.evaluation.run import Run
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma

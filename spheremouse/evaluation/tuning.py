@@ -24,7 +24,8 @@ import numpy as np
 from scipy import stats
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluation.metrics import Run, attitude_error, squared_bend
+from spheremouse.evaluation.metrics import attitude_error, squared_bend
+from spheremouse.evaluation.run import Run
 from spheremouse.geometry import Array
 
 LIMIT = 100.0  # ten standard deviations

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from spheremouse.evaluation.metrics import frame_times, mean_nees, nees, number
+from spheremouse.evaluation.metrics import frame_times, mean_nees, nees
+from spheremouse.evaluation.run import number
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.geometry.statistics import gate
 from spheremouse.tracker import Event

@@ -12,7 +12,8 @@ from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluation.metrics import History, Reference, report
+from spheremouse.evaluation.metrics import report
+from spheremouse.evaluation.run import History, Reference
 from spheremouse.evaluation.wand import WandHistory, followed, wand_report
 from spheremouse.files.dataset.ball import Recording
 from spheremouse.files.dataset.frames import read_frames

@@ -16,7 +16,7 @@ import numpy as np
 
 from spheremouse.ball.build import build, follows_pattern
 from spheremouse.errors import ConfigurationError, PoseError
-from spheremouse.evaluation.metrics import History, Run
+from spheremouse.evaluation.run import History, Run
 from spheremouse.evaluation.tuning import (
     LIMIT,
     Comparison,

@@ -15,19 +15,16 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch
 from spheremouse.ball.track import advance
+from spheremouse.evaluation.detection import detection_quality, mean_discs
 from spheremouse.evaluation.metrics import (
-    History,
-    Reference,
-    Run,
     attitude_error,
     correlation,
-    detection_quality,
     lost_episodes,
-    mean_discs,
     mean_nees,
     per_axis,
     surface_speeds,
 )
+from spheremouse.evaluation.run import History, Reference, Run
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise
 

@@ -14,7 +14,8 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluation.bound import Bound
-from spheremouse.evaluation.metrics import History, Reference, Run, per_axis, report, run_bound
+from spheremouse.evaluation.metrics import per_axis, report, run_bound
+from spheremouse.evaluation.run import History, Reference, Run
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames

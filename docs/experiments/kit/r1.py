@@ -13,7 +13,8 @@ import numpy as np
 from experiments.kit.film import Film, film_of, options_of
 from experiments.kit.trackball import Trackball, simulate_log, trackball_matrix
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluation.metrics import Run, pearson, surface_travel
+from spheremouse.evaluation.metrics import pearson, surface_travel
+from spheremouse.evaluation.run import Run
 from spheremouse.evaluation.trackball import CountPath
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log

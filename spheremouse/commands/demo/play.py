@@ -25,8 +25,9 @@ from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.run import follow
 from spheremouse.commands.run.view import RunView
 from spheremouse.errors import ConfigurationError, os_errors_as
-from spheremouse.evaluation.metrics import History, Reference, Run, report
+from spheremouse.evaluation.metrics import report
 from spheremouse.evaluation.plot import plot_run
+from spheremouse.evaluation.run import History, Reference, Run
 from spheremouse.files import config
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import Report

@@ -16,8 +16,8 @@ from spheremouse.capture import section
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluation.metrics import Run
 from spheremouse.evaluation.plot import plot_run
+from spheremouse.evaluation.run import Run
 from spheremouse.evaluation.table import ball_table, consistency, path_notes
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset

@@ -20,13 +20,11 @@ from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Tr
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluation import plot
 from spheremouse.evaluation.bound import Bound, Sight, manoeuvre, posterior_bound
+from spheremouse.evaluation.detection import detection_quality
 from spheremouse.evaluation.metrics import (
-    Reference,
-    Run,
     attitude_error,
     bound_ratio,
     correlation,
-    detection_quality,
     frame_times,
     identified_from,
     lost_episodes,
@@ -39,6 +37,7 @@ from spheremouse.evaluation.metrics import (
     report,
     surface_speeds,
 )
+from spheremouse.evaluation.run import Reference, Run
 from spheremouse.evaluation.table import consistency, path_notes
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
