@@ -30,7 +30,7 @@ from spheremouse.capture import fetch as capture
 from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import Output, reporter
-from spheremouse.output.reporter import ReporterStatus
+from spheremouse.output.reporter_status import ReporterStatus
 from spheremouse.session import outputs, timing, worker
 from spheremouse.session import service as run
 from spheremouse.session.control.client import Client

@@ -13,59 +13,28 @@ not sent.
 import contextlib
 import threading
 import time
-from array import array
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import floor, inf
-
-import numpy as np
 
 from spheremouse.errors import internal_error_text
 from spheremouse.output import Counts, DeliveryStatus, Output, OutputClosed, Report, pointer
+from spheremouse.output.call_watch import HANG_TIMEOUT, CallWatch
 from spheremouse.output.pointer import PointerSettings, Resampler, minus, plus
+from spheremouse.output.reporter_status import LatencyLog, ReporterStatus
 
 RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 MAX_QUEUE_TIME = 0.25  # s; counts that waited longer in the queue become unsent
-# s for which callers must see the same output call pending before it counts as hanging. A call takes microseconds, and
-# the load of a machine adds milliseconds. The time starts at a caller's first look, so callers that were delayed
-# themselves raise no false alarm.
-HANG_TIMEOUT = 0.4
 MAX_QUEUED_FRAMES = 256  # seconds, at any camera's rate
-LATENCY_COUNT = 4096  # a minute at 60 Hz
 _MAX_JOIN_TIME = 5.0  # s
 _OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
 _NONE: Counts = (0, 0, 0)
 _ALL_ARRIVED = DeliveryStatus()
 
 
-@dataclass(frozen=True, slots=True)
-class Latency:
-    """Time from a frame's stamp to the end of `send`, over the last frames."""
-
-    p50: float  # s
-    p99: float  # s
-    max: float  # s
-
-
-@dataclass(frozen=True, slots=True)
-class ReporterStatus:
-    """Condition of the output, sums of counts and latency."""
-
-    failed: str | None  # reason of a failure; None: the output works
-    ended: bool  # the reader of the output closed it; it is not opened again
-    reports: int  # reports with counts
-    dropped: int  # frames that were not sent: during a failure or pause, too late, or more than the queue holds
-    sent: Counts  # acknowledged ones alone, if the output acknowledges
-    unsent: Counts  # submitted during a failure or pause, or too late; or lost on the way
-    ahead: Counts  # sent before the ball made them; negative: made by the ball and not sent yet
-    latency: Latency | None  # None: no frame was sent yet
-
-
 # A report in the queue, the frame's stamp on the clock (s), False during a pause, and the time of `submit` (s). A plain
 # tuple costs each frame and output least.
 _QueuedReport = tuple[Report, float, bool, float]
-_Call = tuple[str, str]  # of the output: what it means for a message, and the usual reason of a hang or nothing
 
 
 class OutputThread:
@@ -99,13 +68,9 @@ class OutputThread:
         self._resampler = Resampler()
         self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since the output was opened
         self._past, self._unsent = _NONE, _NONE
-        # The pending call of the output, the one that a caller saw last with the time (s) of the first sight, and the
-        # last one that hung.
-        self._pending_call: _Call | None = None
-        self._seen_call: tuple[_Call, float] | None = None
-        self._hung_call: _Call | None = None
-        self._reports = self._frames = self._dropped = 0
-        self._latency = array("d", [0.0]) * LATENCY_COUNT
+        self._calls = CallWatch(lambda reason: log(f"{name}: {reason}"), clock)
+        self._reports = self._dropped = 0
+        self._latency = LatencyLog()
         self._acknowledges = False  # True: the output may report trouble of its receiver
         self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
         self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
@@ -125,8 +90,8 @@ class OutputThread:
                 self._overflow = plus(self._overflow, self._queue.popleft()[0].counts)
                 self._overflowed += 1
         self._wake_thread()
-        if self._pending_call is not None:
-            self.failed  # noqa: B018  checks whether the output hangs
+        if self._calls.pending is not None:
+            self._calls.look()
 
     def end_prediction(self, now: float) -> None:
         """End the prediction at `now` (s, monotonic), because no frame will correct it."""
@@ -147,11 +112,7 @@ class OutputThread:
     def status(self) -> ReporterStatus:
         """Return the condition of the output, the sums of counts and the latency."""
         failed, arrived, unsent, ahead = self._sums()
-        n, latency = min(self._frames, LATENCY_COUNT), None
-        if n:
-            p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
-            latency = Latency(p50, p99, max(self._latency[:n]))
-        dropped = self._dropped + self._overflowed
+        dropped, latency = self._dropped + self._overflowed, self._latency.summary()
         return ReporterStatus(failed, self._ended, self._reports, dropped, arrived, unsent, ahead, latency)
 
     @property
@@ -180,20 +141,7 @@ class OutputThread:
     @property
     def failed(self) -> str | None:
         """Reason of a failure; None: the output works. Read it often: it logs a call that hangs for 0.4 s."""
-        call, now = self._pending_call, self._clock()
-        if call is None:
-            return self._failed
-        if self._seen_call is None or self._seen_call[0] is not call:
-            self._seen_call = call, now
-        took = now - self._seen_call[1]
-        if took < HANG_TIMEOUT:
-            return self._failed
-        what, hint = call
-        reason = f"the output hangs: {what}{f' ({hint})' if hint else ''} for {took:.1f} s"
-        if self._hung_call is not call:
-            self._hung_call = call
-            self._log(f"{self._name}: {reason}")
-        return reason
+        return self._calls.look() or self._failed
 
     @property
     def ended(self) -> bool:
@@ -206,8 +154,7 @@ class OutputThread:
         self._wake_thread()
         if self._thread.ident is None:  # the thread was never started
             return
-        hangs = self._pending_call is not None and self._pending_call is self._hung_call
-        self._thread.join(HANG_TIMEOUT if hangs else _MAX_JOIN_TIME)
+        self._thread.join(HANG_TIMEOUT if self._calls.hung(self._calls.pending) else _MAX_JOIN_TIME)
 
     def _wake_thread(self) -> None:
         try:  # noqa: SIM105  suppress takes three times as long, for each frame and output
@@ -264,8 +211,7 @@ class OutputThread:
             due = self._predict(report, taken, now)
             report = report._replace(counts=minus(due, self._sent))
         if self._send(report, due):
-            self._latency[self._frames % LATENCY_COUNT] = self._clock() - taken
-            self._frames += 1
+            self._latency.add(self._clock() - taken)
 
     def _predict(self, report: Report, taken: float, now: float) -> Counts:
         """Start the prediction from a frame, and return the sum of counts that is due."""
@@ -292,7 +238,7 @@ class OutputThread:
 
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
-        self._pending_call = call = (_SENDS, self._output.hang_hint)  # as `_call`, which would cost each report more
+        self._calls.pending = call = (_SENDS, self._output.hang_hint)  # as `run`, which would cost each report more
         try:
             self._output.send(report)
         except OutputClosed as e:
@@ -303,7 +249,7 @@ class OutputThread:
             self._fail(_reason(e), e)
             return False
         finally:
-            self._pending_call = None
+            self._calls.pending = None
         self._sent = due
         if report.counts != _NONE:
             self._reports += 1
@@ -311,14 +257,14 @@ class OutputThread:
         if self._unproven is not None:
             self._unproven = None
             self._log(f"{self._name}: works again")
-        if call is self._hung_call:
+        if self._calls.hung(call):
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True
 
     def _open_again(self) -> None:
         try:
-            hung = self._call(_OPENS, self._enter)
+            hung = self._calls.run((_OPENS, ""), self._enter)
         except Exception as e:
             self._fail(_reason(e), e)
             return
@@ -352,15 +298,6 @@ class OutputThread:
         self._drop_queue()
         self._failed = None
 
-    def _call(self, what: str, function: Callable[..., object], *arguments: object) -> bool:
-        """Call the output, and return True if the call hung. The call is pending, because it may never return."""
-        self._pending_call = call = (what, "" if self._output is None else self._output.hang_hint)
-        try:
-            function(*arguments)
-        finally:
-            self._pending_call = None
-        return call is self._hung_call
-
     def _fail(self, reason: str, error: Exception) -> None:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
@@ -375,7 +312,8 @@ class OutputThread:
         output = self._output
         if output is not None:
             try:
-                self._call(_CLOSES, output.__exit__, None if error is None else type(error), error, None)
+                call = (_CLOSES, output.hang_hint)
+                self._calls.run(call, output.__exit__, None if error is None else type(error), error, None)
             except Exception as e:
                 if error is None:  # otherwise the output failed before
                     self._log(f"{self._name}: {_reason(e)}")

@@ -15,7 +15,8 @@ from spheremouse.output import Counts, DescribeRun, Output, Report, open_output,
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
-from spheremouse.output.reporter import OutputThread, ReporterStatus
+from spheremouse.output.reporter import OutputThread
+from spheremouse.output.reporter_status import ReporterStatus
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
