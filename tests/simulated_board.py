@@ -10,6 +10,7 @@ import importlib.util
 import os
 import random
 import select
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -22,11 +23,16 @@ from spheremouse.output.serial.firmware import PICO
 
 def load_protocol() -> ModuleType:
     """Return the board's protocol.py as a module, because it runs in CPython too."""
-    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", service_files(PICO) / "protocol.py")
+    folder = service_files(PICO)
+    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", folder / "protocol.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(folder))  # of frames.py
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(folder))
     return module
 
 

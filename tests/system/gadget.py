@@ -123,7 +123,7 @@ def avr(port: Port, library: Path, ready: Callable[[], None]) -> None:
 
 
 def pico(port: Port, ready: Callable[[], None]) -> None:
-    """The Pico's mouse.py and protocol.py, on hardware made of the gadget."""
+    """The Pico's firmware, on hardware made of the gadget."""
     sys.path.insert(0, str(REPOSITORY / "service/firmware/pico"))
     sys.modules.pop("mouse", None)  # tests/system/mouse.py
     import mouse  # type: ignore[import-not-found]

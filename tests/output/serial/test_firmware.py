@@ -47,7 +47,10 @@ def micropython():
             pytest.skip("MicroPython's WebAssembly build cannot be fetched from the npm registry")
         (archive,) = cache.glob("*.tgz")
         shutil.unpack_archive(archive, cache)
-    files = [PICO / "protocol.py", PICO / "mouse.py", HERE / "data" / "firmware_on_a_desk.py"]
+    files = [
+        *(PICO / f"{name}.py" for name in ("frames", "protocol", "mouse")),
+        HERE / "data" / "firmware_on_a_desk.py",
+    ]
     command = ["node", HERE / "data" / "firmware_driver.mjs", cache / "package", *files]
     process: Any = subprocess.Popen(
         [str(c) for c in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -256,12 +259,12 @@ def test_descriptor_and_version_of_both_are_those_of_the_page(mouse):
 @pytest.fixture
 def mouse(monkeypatch):
     monkeypatch.syspath_prepend(str(PICO))
-    for name in ("mouse", "protocol"):
+    for name in ("mouse", "protocol", "frames"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     import mouse as module
 
     yield module
-    for name in ("mouse", "protocol"):
+    for name in ("mouse", "protocol", "frames"):
         sys.modules.pop(name, None)
 
 
@@ -391,7 +394,7 @@ def refusal(*arguments):
 def test_an_installation_and_another_one(drive):
     result = run("install", "--drive", drive)
     assert result.exit_code == 0, result.exception
-    assert "firmware 1.0.0 in place of none: boot.py, mouse.py, protocol.py, code.py" in result.output
+    assert "firmware 1.0.0 in place of none: boot.py, mouse.py, frames.py, protocol.py, code.py" in result.output
     assert "pull the board and plug it in again; then: spheremouse firmware check" in result.output
     assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
     assert sorted(p.name for p in drive.iterdir()) == sorted([*firmware.FILES, "boot_out.txt"])
