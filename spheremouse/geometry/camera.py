@@ -17,6 +17,7 @@ from spheremouse.native import kernels
 # takes 200 MB in colour, and its processing a few times as much.
 MAX_SIDE = 16_384  # px
 MAX_PIXELS = 1 << 26  # 67 million
+_FOLD_GRID = 65  # pixels of the test for a fold along each side of the image, its corners included
 
 
 def too_large(width: int, height: int) -> str:
@@ -160,6 +161,23 @@ def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     """
     uv = np.ascontiguousarray(uv, dtype=float).reshape(-1, 2)
     return kernels.unproject(uv, camera.intrinsic, camera.distortion, camera.fold_r2)
+
+
+def fold_in_picture(camera: InteriorOrientation) -> tuple[float, float]:
+    """Return the share of the image in which the lens model is not one-to-one, and where that begins.
+
+    There a pixel has no ray, or the Jacobian determinant of the distortion is not positive. The second value is the
+    distance (px) from the principal point to the nearest such pixel of a grid, inf if there is none.
+    """
+    u = np.linspace(0.0, camera.width - 1.0, _FOLD_GRID)
+    v = np.linspace(0.0, camera.height - 1.0, _FOLD_GRID)
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    xy, _ = unproject(uv, camera)
+    has_ray = np.all(np.isfinite(xy), axis=1)
+    _, J = distort(np.where(has_ray[:, None], xy, 0.0), camera)
+    folded = np.flatnonzero(~(has_ray & (np.linalg.det(J) > 0.0)))
+    distance = np.linalg.norm(uv[folded] - (camera.cx, camera.cy), axis=1)
+    return len(folded) / len(uv), float(distance.min(initial=np.inf))
 
 
 def row_of(v, height):

@@ -9,6 +9,7 @@ from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
     distort,
+    fold_in_picture,
     interior_jacobian,
     pose_from_matrix,
     project,
@@ -160,3 +161,29 @@ def test_project_sphere_is_touched_by_tangent_rays(centre):
     assert_allclose(closest, radius, rtol=1e-12)  # they do touch
     d = rays[:, :2] / rays[:, 2:] - c
     assert_allclose(np.sum(d * np.linalg.solve(S, d.T).T, axis=1), 1.0, rtol=1e-9)
+
+
+def test_a_fold_in_the_picture_is_where_opencvs_projection_turns_back():
+    """Rays outwards from the axis, by `cv2.projectPoints`: the first that moves inwards, or leaves the picture."""
+    rng, folds, whole = np.random.default_rng(0), 0, 0
+    r, angle = np.linspace(1e-3, 4.0, 4000), np.linspace(0.0, 2 * np.pi, 180, endpoint=False)
+    rays = np.stack(np.broadcast_arrays(np.outer(np.cos(angle), r), np.outer(np.sin(angle), r), 1.0), axis=-1)
+    for _ in range(24):
+        terms = rng.normal([-0.2, 0.0, 0.0, 0.0, 0.0], [0.3, 0.2, 0.002, 0.002, 0.1])
+        camera = InteriorOrientation(640, 480, 450.0, 460.0, 330.0, 235.0, terms)
+        uv, _ = cv2.projectPoints(rays.reshape(-1, 3), np.zeros(3), np.zeros(3), camera.matrix, terms)
+        uv = uv.reshape(len(angle), len(r), 2)
+        along, across = np.gradient(uv, axis=1), np.roll(uv, -1, axis=0) - np.roll(uv, 1, axis=0)
+        turned = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0] <= 0.0
+        outside = np.any((uv < 0.0) | (uv > [639.0, 479.0]), axis=2)
+        first = np.arange(len(angle)), np.argmax(turned | outside, axis=1)
+        at = uv[first][~outside[first]]
+        share, distance = fold_in_picture(camera)
+        if len(at) == 0:
+            assert (share, distance) == (0.0, np.inf)
+            whole += 1
+        else:
+            assert share > 0.0
+            assert distance == pytest.approx(np.linalg.norm(at - (camera.cx, camera.cy), axis=1).min(), abs=12.5)
+            folds += 1
+    assert min(folds, whole) >= 5

@@ -15,10 +15,13 @@ from spheremouse.calibrate.camera.corners import Sighting, find_board, measure_i
 from spheremouse.calibrate.camera.coverage import Coverage, coverage
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import fold_in_picture
 
 _MIN_DISTANCE, _MAX_DISTANCE = 0.02, 30.0  # m, of a board that a person holds before a webcam
 _MIN_CORNERS = 12  # of a chessboard; grids of 3x3 also appear in photos of a device
 _MAX_FOCAL_SIGMA = 0.1  # of the focal length
+_MAX_FOLDED = 0.05  # of the picture
+_MIN_SEEN_OF_FOLD = 0.8  # of the distance from the principal point to a fold
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,7 @@ def calibrate(
     _check_plausible(found, pattern)
     used = np.flatnonzero(found.used).tolist()
     covered = coverage(size, [views[k].uv for k in used], found.rotations[found.used])
+    _check_fold(found, covered)
     skipped = {i: rejection_reason(s, pattern) for i, s in enumerate(seen) if i not in fine}
     return CameraCalibration(tuple(photos), pattern, tuple(index), tuple(views), found, covered, skipped)
 
@@ -158,6 +162,23 @@ def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:
         raise CalibrationError(
             f"--square {_length(pattern.square)} puts the camera {_length(distance)} from the board; measure a square, "
             "and give it with its unit"
+        )
+
+
+def _check_fold(found: BoardAdjustment, covered: Coverage) -> None:
+    """Refuse a lens model that is not one-to-one in the picture, as in OpenCV's issue 15577.
+
+    Some lenses fold in the outermost corners. Such a fold is allowed if boards were seen almost up to it.
+    """
+    camera = found.camera
+    share, distance = fold_in_picture(camera)
+    seen = covered.reach * 0.5 * float(np.hypot(camera.width - 1, camera.height - 1))
+    if share > _MAX_FOLDED or seen < _MIN_SEEN_OF_FOLD * distance < np.inf:
+        fewer = ", or leave out distortion terms with --distortion 2" if found.free[6:].any() else ""
+        raise CalibrationError(
+            f"the lens model is not one-to-one in the picture: it folds {distance:.0f} px from the principal point, "
+            f"where {100 * share:.1f} % of the picture begin, and no corner was seen beyond {seen:.0f} px; "
+            f"add photos with the board out to the picture's corners{fewer}"
         )
 
 

@@ -59,9 +59,10 @@ def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float)
     shape = None if largest is None else largest.shape[:2]
     found = largest
     if shape is None or sorted(shape) != sorted(wanted):
-        # a part of a larger board is another board; a smaller grid may be a part of this one
+        # a part of a larger board is another board; a smaller grid may be a part of this one, and glare adds one row
         larger = shape is not None and max(shape) >= max(wanted) and min(shape) >= min(wanted)
-        found = None if larger else _exact(small, pattern)
+        one_more = shape is not None and sum(shape) == sum(wanted) + 1
+        found = None if larger and not one_more else _exact(small, pattern, older_finder=not larger)
     seen = None if shape is None else (max(shape), min(shape))
     if found is None:
         return Sighting(np.empty(0, np.intp), np.empty((0, 2)), seen)
@@ -83,11 +84,11 @@ def _grid(grey: cv2.typing.MatLike, size: tuple[int, int], flags: int) -> Array 
     return _facing(np.asarray(corners, float).reshape(*meta.shape, 2))
 
 
-def _exact(grey: cv2.typing.MatLike, pattern: Pattern) -> Array | None:
-    """Find a board of known size, also by OpenCV's older finder, which tolerates other dirt and glare."""
+def _exact(grey: cv2.typing.MatLike, pattern: Pattern, older_finder: bool) -> Array | None:
+    """Find a board of known size, if allowed also by OpenCV's older finder, which tolerates other dirt and glare."""
     size = pattern.columns, pattern.rows
     grid = _grid(grey, size, cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if grid is not None:
+    if grid is not None or not older_finder:
         return grid
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     found, corners = cv2.findChessboardCorners(grey, size, flags=flags)

@@ -14,6 +14,7 @@ from spheremouse.calibrate.outputs import print_advice
 from spheremouse.calibrate.photos import image
 from spheremouse.calibrate.report.page import Content, write_report
 from spheremouse.files.report.style import BLUE, GRID, INK, PAPER, RED, round_number
+from spheremouse.geometry.camera import fold_in_picture
 from spheremouse.geometry.statistics import correlation
 
 if TYPE_CHECKING:
@@ -73,6 +74,10 @@ def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     if found.free[8] and abs(k3) < _MIN_SIGNIFICANCE * sigma[8]:
         text = f"k3 is {k3:.3f} with a standard deviation of {sigma[8]:.3f}: it may as well be 0"
         yield "note", f"{text}, and `--distortion 4` would do."
+    share, distance = fold_in_picture(camera)
+    if share > 0.0:
+        text = f"{100 * share:.1f} % of the picture, from {distance:.0f} px off the principal point on, have no ray"
+        yield "note", f"{text}: there the lens model folds, and no disc can be used."
     if found.contradiction > 1.0:
         text = (
             "The views contradict each other more than the errors of their corners explain. So all standard deviations "

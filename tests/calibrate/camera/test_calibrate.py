@@ -6,7 +6,7 @@ import shlex
 import cv2
 import numpy as np
 import pytest
-from boards import CAMERA, picture, places
+from boards import CAMERA, PATTERN, picture, places
 from conftest import datasets_dir
 from elements import Elements
 from typer.testing import CliRunner
@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import load_camera
+from spheremouse.geometry.camera import fold_in_picture, project
 
 SIZE = CAMERA.width, CAMERA.height
 BOARD = ("--board", "9x6", "--square", "30mm")
@@ -134,3 +135,19 @@ def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):
     said = refused(folder / "view_0.png", folder / "wall.png", *BOARD, "--out", tmp_path / "c.yaml")
     assert "in 1 of 2 photos" in said
     assert "wall.png: shows no chessboard" in said
+
+
+def test_a_lens_model_that_folds_in_the_picture_is_refused_and_its_remedy_works(tmp_path):
+    """Boards in the middle alone leave k3 to chance (OpenCV's issue 15577)."""
+    rng, number = np.random.default_rng(2), 0
+    while number < 6:
+        R, t = places(1, rng)
+        uv, _ = project(PATTERN.corners() @ R[0].T + t[0], CAMERA)
+        if np.linalg.norm(uv - np.array(SIZE) / 2, axis=1).max() < 190.0:
+            cv2.imwrite(str(tmp_path / f"{number}.png"), picture(R[0], t[0], rng=rng, noise=8.0, blur=1.2))
+            number += 1
+    said = refused(tmp_path, *BOARD, "--out", tmp_path / "camera.yaml")
+    assert "not one-to-one in the picture: it folds" in said
+    assert "--distortion 2" in said
+    assert run(tmp_path, *BOARD, "--distortion", "2", "--out", tmp_path / "camera.yaml").exit_code == 0
+    assert fold_in_picture(load_camera(tmp_path / "camera.yaml"))[0] < 0.05
