@@ -3,7 +3,7 @@
 import contextlib
 import traceback
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 
 def printable(thing: object) -> str:
@@ -49,6 +49,14 @@ class SourceError(SpheremouseError):
 
 class DamagedFrameError(SourceError):
     """One frame that is no whole picture; the next may be."""
+
+
+class TransferError(SourceError):
+    """A camera answers with errors of its bus. `reset` resets it and returns a line for the log."""
+
+    def __init__(self, problem: str, reset: Callable[[], str]) -> None:
+        super().__init__(problem)
+        self.reset = reset
 
 
 class OutputError(SpheremouseError):

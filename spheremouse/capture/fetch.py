@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from spheremouse.capture import OpenCamera, Payload, RawFrame, Source
 from spheremouse.capture.newest import Arrival, LatestFrame
-from spheremouse.errors import SourceError, SpheremouseError, internal_error_text
+from spheremouse.errors import SourceError, SpheremouseError, TransferError, internal_error_text
 from spheremouse.tracker import Frame
 
 PATIENCE = 2.0  # s without a frame until a stream counts as frozen; exposures and focus searches are shorter
@@ -110,6 +110,7 @@ class Capture(threading.Thread):
         self._over = False
         self._wakeup = threading.Event()  # set to end the stream, or the wait for the next attempt
         self._failures = 0  # in a row
+        self._unanswered = 0  # attempts in a row that a camera answered with errors of its bus
         self._streams = 0  # with at least one frame
         self._recorded = False  # a recording has its own clock and is not played twice
         self.trouble = "the camera is being opened"  # reason for missing frames; empty while they come
@@ -133,6 +134,7 @@ class Capture(threading.Thread):
                 break
             except SpheremouseError as e:
                 self.trouble = str(e)
+                self._reset_after(e)
             except Exception as e:
                 trouble = f"{type(e).__name__}: {' '.join(str(e).split())}"
                 if trouble != self.trouble:
@@ -142,6 +144,16 @@ class Capture(threading.Thread):
             self._latest.wake()
             self._wakeup.wait(BACK_OFF[min(max(self._failures - 1, 0), len(BACK_OFF) - 1)])
         self._latest.wake()
+
+    def _reset_after(self, error: SpheremouseError) -> None:
+        """Reset a camera that answers with errors: at the first one, and then once for each round of waits."""
+        if not isinstance(error, TransferError):
+            self._unanswered = 0
+            return
+        if self._unanswered % len(BACK_OFF) == 0:
+            self._say(error.reset())
+            self._failures = 0
+        self._unanswered += 1
 
     def _fetch(self) -> None:
         began: float | None = None  # s, the first frame
@@ -169,7 +181,7 @@ class Capture(threading.Thread):
                             break
                         continue
                     if began is None:
-                        began = now
+                        began, self._unanswered = now, 0
                         self.trouble, self.opening = "", False
                         self._streams += 1
                     else:

@@ -8,7 +8,8 @@ from pathlib import Path
 from spheremouse.files.access import access_problem, account
 from spheremouse.finding import Finding, absent, ok, warning, wrong
 
-_SYS, _DEV, _BY_ID = Path("/sys/class/video4linux"), Path("/dev"), Path("/dev/v4l/by-id")
+VIDEO_CLASS = Path("/sys/class/video4linux")
+_DEV, _BY_ID = Path("/dev"), Path("/dev/v4l/by-id")
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Node:
     lasting: Path | None  # the name below /dev/v4l/by-id, which stays
 
 
-def nodes(listed: Path = _SYS, devices: Path = _DEV, by_id: Path = _BY_ID) -> list[Node]:
+def nodes(listed: Path = VIDEO_CLASS, devices: Path = _DEV, by_id: Path = _BY_ID) -> list[Node]:
     """Return the cameras of this computer, by number."""
     try:
         entries = sorted(listed.iterdir(), key=lambda p: (len(p.name), p.name))

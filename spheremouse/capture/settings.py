@@ -54,6 +54,12 @@ class CameraSettings:
         "focus in the camera's steps, which switches autofocus off; autofocus would change the calibration",
         **STEPS,
     )
+    zoom: int | None = param(
+        None,
+        "-",
+        "zoom in the camera's steps; some cameras forget it when they are unplugged, and it changes the calibration",
+        **STEPS,
+    )
     white_balance: int | None = param(
         None,
         "K",

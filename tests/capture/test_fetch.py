@@ -11,7 +11,7 @@ from spheremouse.capture import Stream
 from spheremouse.capture import fetch as module
 from spheremouse.capture.fetch import Capture, Streamed
 from spheremouse.capture.newest import LatestFrame
-from spheremouse.errors import SourceError
+from spheremouse.errors import SourceError, TransferError
 from spheremouse.tracker import Frame
 
 PATIENCE = 20.0  # s, for what takes milliseconds
@@ -146,6 +146,17 @@ def test_a_camera_that_is_missing_fails_or_goes_is_opened_again_and_says_why(sta
     assert world.said == []  # a device's failures are nothing for a programmer
     capture.close()
     assert world.closed == 2
+
+
+def test_a_camera_that_answers_with_errors_is_reset_and_tried_at_once(start):
+    """At the first such answer, and once a round of waits; a camera that is not there is not reset."""
+    resets = []
+    broken = TransferError("protocol error", lambda: resets.append(1) or "it was reset")
+    world = World(SourceError("not there"), broken, [1, SourceError("gone")], broken, *[broken] * 6, [2])
+    capture = start(world)
+    until(lambda: capture.trouble == "" and capture.restarts == 1)
+    assert len(resets) == 1 + 4  # of seven answers in a row; a round has two waits here
+    assert world.said == ["it was reset"] * 5
 
 
 def test_nothing_that_a_camera_raises_ends_the_thread(start):

@@ -8,6 +8,7 @@ import ctypes
 import multiprocessing
 import os
 import select
+import subprocess
 import time
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from reporting import report
 
+from spheremouse.capture.v4l2.usb import reset_camera
 from spheremouse.output import open_output
 
 evdev = pytest.importorskip("evdev")
@@ -164,6 +166,18 @@ def test_the_kernel_takes_it_for_a_mouse_with_fine_wheels(cable):
         f"0003:{gadget.VENDOR:04X}:{gadget.PRODUCT:04X}.*/report_descriptor"
     )
     assert report_descriptor.read_bytes() == cable
+
+
+def test_a_usb_reset_brings_the_device_back(cable):
+    """As of a camera that answers with errors; the kernel has no camera in software behind USB here."""
+    (before,) = mice()
+    listed = Path("/sys/class/input")
+    said = reset_camera(before.path, listed)
+    print(said)
+    assert f"({gadget.NAME}) was reset" in said
+    log = subprocess.run(["dmesg"], capture_output=True, text=True, check=True).stdout
+    assert "reset high-speed USB device" in log
+    until(mice)
 
 
 def settle(output):

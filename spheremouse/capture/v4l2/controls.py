@@ -28,9 +28,10 @@ from spheremouse.files.validate import nearest
 _MANUAL, _SHUTTER_PRIORITY = 1, 2  # values of V4L2_CID_EXPOSURE_AUTO with a known exposure
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
 _MAINS = {0: 0, 50: 1, 60: 2}  # V4L2_CID_POWER_LINE_FREQUENCY
-_MANUAL_CONTROLS = (  # setting, the control of its automatic, its own control, unit
+_MANUAL_CONTROLS = (  # setting, the control of its automatic (0: none), its own control, unit
     ("gain", ControlID.AUTOGAIN, ControlID.GAIN, ""),
     ("focus", ControlID.FOCUS_AUTO, ControlID.FOCUS_ABSOLUTE, ""),
+    ("zoom", 0, ControlID.ZOOM_ABSOLUTE, ""),
     ("white_balance", ControlID.AUTO_WHITE_BALANCE, ControlID.WHITE_BALANCE_TEMPERATURE, " K"),
 )
 _SWITCH = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
@@ -156,7 +157,7 @@ class Controls:
             self.old_values.append((control, old))
             return get_control(self.fd, control.id)
         except OSError as e:
-            if e.errno == errno.ENODEV:
+            if e.errno in (errno.ENODEV, errno.EPROTO, errno.ETIMEDOUT):  # EIO and EPIPE may be a refusal
                 raise
             raise SourceError(
                 f"{self.path}: {what}: the camera does not take {shown(value)} ({e.strerror}); choose another value"

@@ -9,6 +9,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +42,11 @@ from numpy.typing import NDArray
 from spheremouse.capture.nodes import cameras_here
 from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import FORMATS, Layout
-from spheremouse.errors import SourceError
+from spheremouse.capture.v4l2.usb import reset_camera
+from spheremouse.errors import SourceError, TransferError
 
 CAPTURE = BufferType.VIDEO_CAPTURE
+TRANSFER_ERRORS = (errno.EIO, errno.EPROTO, errno.EPIPE, errno.ETIMEDOUT)  # of a camera that does not answer properly
 
 _FOURCC: dict[str, PixelName] = {"YUYV": "YUYV", "NV12": "NV12", "MJPG": "MJPG", "JPEG": "MJPG", "GREY": "GREY"}
 _SUFFICIENT_RATE = 30.0  # Hz; without a requested rate, faster formats are no better
@@ -90,7 +93,7 @@ class Device:
         try:
             self.fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as e:
-            raise SourceError(_failure(path, e)) from None
+            raise _failure(path, e) from None
         try:
             found = read_capabilities(self.fd)
         except OSError:
@@ -255,7 +258,7 @@ class Device:
         except BlockingIOError:
             return None
         except OSError as e:
-            raise self.failure(e) from None
+            raise SourceError(str(self.failure(e))) from None  # a stream that breaks off is opened again first
 
     def close(self) -> None:
         """Stop the stream and free all buffers. A buffer that an image still uses is unmapped with that image.
@@ -280,7 +283,7 @@ class Device:
         """Return the error of the open device, with a remedy."""
         if error.errno == errno.EINVAL and self.driver == "v4l2 loopback":
             return SourceError(f"{self.path}: this loopback device has no writer; start its writer first")
-        return SourceError(_failure(self.path, error))
+        return _failure(self.path, error)
 
 
 def find(text: str) -> Path:
@@ -291,7 +294,14 @@ def find(text: str) -> Path:
     return Path(f"/dev/video{text}") if text.isdecimal() else Path(text)
 
 
-def _failure(path: Path | str, error: OSError) -> str:
+def _failure(path: Path | str, error: OSError) -> SourceError:
+    text = _failure_text(path, error)
+    if error.errno in TRANSFER_ERRORS:
+        return TransferError(text, partial(reset_camera, str(path)))
+    return SourceError(text)
+
+
+def _failure_text(path: Path | str, error: OSError) -> str:
     match error.errno:
         case errno.ENOENT:
             return f"{path}: no such device; {cameras_here()}"
@@ -301,7 +311,7 @@ def _failure(path: Path | str, error: OSError) -> str:
             return f"{path}: the camera is gone; plug it in again"
         case errno.EBUSY:
             return f"{path}: another program uses it; `fuser -v {path}` shows which"
-        case errno.EIO | errno.EPROTO | errno.EPIPE:
+        case e if e in TRANSFER_ERRORS:
             return f"{path}: the camera stopped ({error.strerror}); see its cable, hub and power"
         case errno.ENOSPC:
             return f"{path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"

@@ -48,6 +48,9 @@ class Controls:
     automatic_focus: bool | None = None
     automatic_white_balance: bool | None = None
     mains: int | None = None  # of the control
+    dynamic_rate: bool | None = None  # dim light lowers the frame rate
+    focus: int | None = None
+    zoom: int | None = None
 
 
 def read_controls(node: Path) -> Controls | None:
@@ -76,18 +79,37 @@ def read_controls(node: Path) -> Controls | None:
             flag("FOCUS_AUTO"),
             flag("AUTO_WHITE_BALANCE"),
             value("POWER_LINE_FREQUENCY"),
+            flag("EXPOSURE_AUTO_PRIORITY"),
+            value("FOCUS_ABSOLUTE"),
+            value("ZOOM_ABSOLUTE"),
         )
     finally:
         os.close(fd)
 
 
 def controls(c: Controls) -> list[Finding]:
-    """Return findings about exposure, focus and colours."""
+    """Return findings about exposure, mains, frame rate, motors and colours."""
     focus = "set camera.focus in the configuration to its value at the calibration"
+    now = "" if c.focus is None else f", at {c.focus}"
     white = "set camera.white_balance in the configuration, for example 4500"
+    flicker = c.automatic_exposure and c.mains == 0
     return [
         _exposure(c),
-        _automatic("focus", c.automatic_focus, "each time it moves, the calibration no longer holds", focus),
+        classify(
+            "mains",
+            "this camera has no filter against flicker"
+            if c.mains is None
+            else f"filter {_MAINS.get(c.mains, c.mains)}",
+            (bool(flicker), Verdict.WARNING, ": lamps may flicker in the picture", "set camera.mains_hz: 50, or 60"),
+        ),
+        _automatic(
+            "frame rate",
+            c.dynamic_rate and c.automatic_exposure is not False,
+            "dim light lowers it (exposure_dynamic_framerate)",
+            "set camera.fps in the configuration, which switches that off",
+        ),
+        Finding("zoom", Verdict.OK, "fixed" if c.zoom is None else f"at {c.zoom}; camera.zoom: {c.zoom} keeps it"),
+        _automatic("focus", c.automatic_focus, "each time it moves, the calibration no longer holds", focus, now),
         _automatic(
             "white balance",
             c.automatic_white_balance,
@@ -115,10 +137,10 @@ def _exposure(c: Controls) -> Finding:
     )
 
 
-def _automatic(name: str, automatic: bool | None, effect: str, advice: str) -> Finding:
+def _automatic(name: str, automatic: bool | None, effect: str, advice: str, now: str = "") -> Finding:
     if automatic:
         return Finding(name, Verdict.WARNING, f"automatic: {effect}", advice)
-    return Finding(name, Verdict.OK, "fixed" if automatic is False else "this camera does not set it by itself")
+    return Finding(name, Verdict.OK, f"fixed{now}" if automatic is False else "this camera does not set it by itself")
 
 
 # ---- frames ----

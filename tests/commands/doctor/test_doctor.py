@@ -392,17 +392,23 @@ def test_stamps_that_lie():
 
 
 def test_what_a_camera_does_by_itself_is_a_warning():
-    fixed = Controls(0.01, False, False, False, False, 1)
+    fixed = Controls(0.01, False, False, False, False, 1, False, 30, 100)
     assert {f.verdict for f in camera.controls(fixed)} == {OK}
     for change, name in (
         ({"automatic_exposure": True}, "exposure"),
         ({"automatic_gain": True}, "exposure"),
         ({"automatic_focus": True}, "focus"),
         ({"automatic_white_balance": True}, "white balance"),
+        ({"dynamic_rate": True, "automatic_exposure": None}, "frame rate"),
     ):
         (told,) = [f for f in camera.controls(replace(fixed, **change)) if f.verdict is not OK]
         assert (told.name, told.verdict) == (name, WARNING)
         assert "set camera." in told.advice
+    flickering = camera.controls(replace(fixed, automatic_exposure=True, mains=0))
+    assert {f.name for f in flickering if f.verdict is WARNING} == {"exposure", "mains"}
+    words = {f.name: f.text for f in camera.controls(fixed)}
+    assert (words["focus"], words["mains"]) == ("fixed, at 30", "filter 50 Hz")
+    assert "camera.zoom: 100" in words["zoom"]
     assert camera.controls(Controls())[0].verdict is UNCHECKED
 
 

@@ -361,7 +361,7 @@ def test_before_the_calibration_nothing_is_started_again_and_again(name):
 
 def test_the_kernel_knows_every_driver_of_the_device_list_before_the_service_starts():
     """A `char-` line whose name is not in /proc/devices then is skipped, and what is plugged in later stays closed."""
-    modules = {"video4linux": "videodev", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
+    modules = {"video4linux": "videodev", "usb_device": "usbcore", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
     loaded = (service_files() / "systemd/modules-load.conf").read_text().split("\n")
     listed = re.findall(r"^DeviceAllow=char-(\S+) rw$", unit(), re.M)
     assert set(listed) == set(modules)
