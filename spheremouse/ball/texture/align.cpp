@@ -9,13 +9,12 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int MOST = 6000;  // pixels: more add time and little information
-constexpr int MOST_ROUNDS = 12;
-constexpr double CONVERGED = 1e-5;  // rad: a five hundredth of a pixel on a ball of 400 px; the anchors have the rest
-constexpr float YOUNG = 3.0f;       // views: the place of a cell with few follows the frames that taught it
-constexpr double NEAR = 2e-4;       // rad: from there on all pixels count
-constexpr int FEW = 4000;           // samples of which some show the way
-constexpr float CAUCHY = 2.385f;    // standard deviations: 95 % efficiency for normal errors
+constexpr int MOST = 6000;        // independent pixels: the contrasts of neighbours are means of the same grey values
+constexpr int MOST_ROUNDS = 6;    // with some samples, and with all
+constexpr float YOUNG = 3.0f;     // views: the place of a cell with few follows the frames that taught it
+constexpr double NEAR = 2e-4;     // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
+constexpr int FEW = 4000;         // samples of which some show the way
+constexpr float CAUCHY = 2.385f;  // standard deviations: 95 % efficiency for normal errors
 
 /// The residuals' model.
 struct Errors {
@@ -33,36 +32,33 @@ struct Pixel {
 struct Residual {
     float z, value, contrast, variance;
     Vector3f J;  // of the picture's value by a rotation of the ball, in axes of the ball
+    int tile;    // of the picture
 };
 
-/// Return the residual of a pixel at `towards`, R_ball_obj. Its variance is infinite where the picture is empty.
-inline Residual residual(const Pixel& pixel, const Picture& picture, const Matrix3f& towards, const Errors& errors) {
+/// Append the residual of a pixel at `towards`, R_ball_obj, if the picture there shows a rotation by `angle` rad.
+inline bool add_residual(const Pixel& pixel, const Picture& picture, const Matrix3f& towards, const Errors& errors,
+                         float angle, std::vector<Residual>& all) {
     const Vector3f x = towards * pixel.d;
-    const Look seen = look(picture, x);
-    Residual r{pixel.contrast - seen.value, seen.value, pixel.contrast, std::numeric_limits<float>::infinity(),
-               seen.gradient.cross(x)};
-    if (seen.weight >= LEAST_WEIGHT)
-        r.variance = errors.noise * errors.noise +
-                     errors.place * errors.place * (1.0f + YOUNG / seen.weight) * r.J.squaredNorm();
-    return r;
+    const Place at = place_on(x, picture.n);
+    const Look seen = look(picture, at);
+    if (!(seen.weight >= LEAST_WEIGHT)) return false;
+    const Vector3f J = seen.gradient.cross(x);
+    const float square = J.squaredNorm(), noise = errors.noise * errors.noise;
+    if (!(square * angle * angle > noise)) return false;
+    const float variance = noise + errors.place * errors.place * (1.0f + YOUNG / seen.weight) * square;
+    all.push_back({pixel.contrast - seen.value, seen.value, pixel.contrast, variance, J, at.tile(picture.n)});
+    return true;
 }
 
-/// Return pixels that show a rotation by `angle` rad: each changes by its noise. Look at one of `every` samples.
-std::vector<Pixel> informative(const Samples& samples, const Picture& picture, const Matrix3f& towards,
-                               const Errors& errors, float angle, int every) {
+/// Return the samples that may turn with the ball, one of `every`.
+std::vector<Pixel> turning(const Samples& samples, int every) {
     std::vector<Pixel> found;
-    const float least = errors.noise * errors.noise / (angle * angle);
+    found.reserve(size_t(samples.size() / every) + 1);
     for (int row = 0, i = 0; row < samples.rows; row++)
-        for (; i < (row + 1) * samples.columns; i += every) {
-            if (!(samples.odds[i] >= STATIC_ODDS) || !(samples.direction[3 * i] < 2.0f)) continue;
-            const Pixel pixel{samples.towards(i), samples.at(row, i - row * samples.columns)};
-            const Residual r = residual(pixel, picture, towards, errors);
-            if (std::isfinite(r.variance) && r.J.squaredNorm() > least) found.push_back(pixel);
-        }
-    if (int(found.size()) <= MOST) return found;
-    std::vector<Pixel> kept;
-    for (size_t k = 0; k < MOST; k++) kept.push_back(found[k * found.size() / MOST]);
-    return kept;
+        for (; i < (row + 1) * samples.columns; i += every)
+            if (samples.odds[i] >= STATIC_ODDS && samples.direction[3 * i] < 2.0f)
+                found.push_back({samples.towards(i), samples.at(row, i - row * samples.columns)});
+    return found;
 }
 
 float median(std::vector<float>& values) {
@@ -104,72 +100,71 @@ struct Weights {
     float weight(const Residual& one, float share) const { return share / (one.variance * scale * scale); }
 };
 
-Matrix3f narrow(const Matrix<3>& R) { return R.transpose().cast<float>(); }
-
-/// Improve the attitude, and return the robust normal equations there by anchor, in axes of obj.
-///
-/// First a part of the pixels shows the way. Those that count are chosen where it ends: a choice at the start would
-/// take more of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
-Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, float angle,
-              const int64_t* anchor_of, Matrix<3> R, std::vector<Normal>& by_anchor) {
-    int every = std::max(samples.size() / FEW, 1);
-    std::vector<Pixel> pixels;
+/// Residuals at an attitude, and the step that they ask for.
+struct Fit {
     std::vector<Residual> all;
-    std::vector<float> size;
-    Aligned r{R};
-    for (int round = 0; round < MOST_ROUNDS; round++) {
-        const Matrix3f towards = narrow(R);
-        if (pixels.empty()) pixels = informative(samples, picture, towards, errors, angle, every);
-        r.used = int(pixels.size());
+    std::vector<float> squares;
+    Weights weights{0.5f};
+    float correlation = 0.0f;
+    Vector<3> dx = Vector<3>::Zero();
+
+    /// Look at pixels; return whether they determine a step.
+    bool look_at(const std::vector<Pixel>& pixels, const Picture& picture, const Errors& errors, float angle,
+                 const Matrix<3>& R) {
+        const Matrix3f towards = R.transpose().cast<float>();
         all.clear();
-        size.clear();
-        for (const Pixel& pixel : pixels) {
-            all.push_back(residual(pixel, picture, towards, errors));
-            const Residual& one = all.back();
-            if (std::isfinite(one.variance)) size.push_back(one.z * one.z / one.variance);
-        }
-        if (size.size() < 10) {
-            if (every == 1) return r;
-            every = 1;
-            pixels.clear();
-            continue;
-        }
-        r.scale = std::max(1.4826f * std::sqrt(median(size)), 0.5f);
-        const Weights weights{r.scale};
+        squares.clear();
+        for (const Pixel& pixel : pixels)
+            if (add_residual(pixel, picture, towards, errors, angle, all))
+                squares.push_back(all.back().z * all.back().z / all.back().variance);
+        if (squares.size() < 10) return false;
+        weights.scale = std::max(1.4826f * std::sqrt(median(squares)), 0.5f);
         Normal whole;
         double qq = 0.0, mm = 0.0, qm = 0.0;
         for (const Residual& one : all) {
-            if (!std::isfinite(one.variance)) continue;
             const float w = weights.weight(one, weights.share(one));
             whole.add(one, w, 1.0f);
             qq += double(w * one.contrast * one.contrast);
             mm += double(w * one.value * one.value);
             qm += double(w * one.contrast * one.value);
         }
-        r.correlation = float(qm / std::sqrt(std::max(qq * mm, 1e-300)));
-        const Vector<3> dx = (whole.H + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g);
-        if (!dx.allFinite()) return r;
-        const double most = dx.cwiseAbs().maxCoeff();
-        if (every == 1 && (most < CONVERGED || round == MOST_ROUNDS - 1)) {
-            r.converged = most < 10.0 * CONVERGED;
-            break;
-        }
-        R = R * exp(dx * std::min(1.0, 0.1 / dx.norm()));
-        if (every > 1 && (most < NEAR || round == MOST_ROUNDS / 2)) {
-            every = 1;
-            pixels.clear();
+        correlation = float(qm / std::sqrt(std::max(qq * mm, 1e-300)));
+        dx = (whole.H + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g);
+        return dx.allFinite();
+    }
+};
+
+/// Improve the attitude, and return the robust normal equations there by anchor, in axes of the ball.
+///
+/// Some samples show the way. Those that count are chosen again at each attitude: a choice at the start would take more
+/// of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
+Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, float angle,
+              const int64_t* anchor_of, Matrix<3> R, std::vector<Normal>& by_anchor) {
+    Aligned r{R};
+    Fit fit;
+    for (int every : {std::max(samples.size() / FEW, 1), 1}) {
+        const std::vector<Pixel> pixels = turning(samples, every);
+        for (int round = 0; round < MOST_ROUNDS; round++) {
+            const bool found = fit.look_at(pixels, picture, errors, angle, r.R);
+            r.used = int(fit.all.size());
+            if (!found) break;
+            r.scale = fit.weights.scale;
+            r.correlation = fit.correlation;
+            r.R = r.R * exp(fit.dx * std::min(1.0, 0.1 / fit.dx.norm()));
+            r.converged = fit.dx.cwiseAbs().maxCoeff() < NEAR;
+            if (r.converged) break;
         }
     }
-    r.R = R;
-    const Matrix3f towards = narrow(R);
-    const Weights weights{r.scale};
-    const int tiles = picture.tiles();
-    for (size_t k = 0; k < pixels.size(); k++) {
-        if (!std::isfinite(all[k].variance)) continue;
-        const Place p = place_on(towards * pixels[k].d, picture.n);
-        const auto anchor = size_t(anchor_of[(size_t(p.face) * tiles + p.row / TILE) * tiles + p.column / TILE]);
-        const float share = weights.share(all[k]);
-        by_anchor[anchor].add(all[k], weights.weight(all[k], share), share);
+    if (!r.converged) return r;
+    const double share_of_all = std::min(1.0, double(MOST) / double(r.used));
+    for (const Residual& one : fit.all) {
+        const float share = fit.weights.share(one);
+        by_anchor[size_t(anchor_of[one.tile])].add(one, fit.weights.weight(one, share), share);
+    }
+    for (Normal& one : by_anchor) {
+        one.g = share_of_all * (one.g - one.H * fit.dx);  // after the last step
+        one.H *= share_of_all;
+        one.count *= share_of_all;
     }
     return r;
 }

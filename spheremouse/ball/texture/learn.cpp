@@ -8,7 +8,7 @@ constexpr float FACING = 0.3f;          // cosine between ray and normal from wh
 constexpr float APART = 9.0f;           // squared standard deviations from which two explanations differ
 constexpr float MOST_PER_FRAME = 3.0f;  // nats: one frame proves little
 constexpr float DOUBLE = 2.0f;          // views of a tile, after which it is learnt half as often
-constexpr int EVERY = 4, SELDOM = 32;   // frames in which a tile is learnt once, an unknown one and a known one
+constexpr int SELDOM = 8;               // calls in which a known tile is learnt once
 constexpr float MOST_ODDS = 12.0f;
 constexpr int HEIGHTS = 256;            // steps of the tables from the horizon to the middle
 constexpr float MOST_OF_OFFSET = 3.0f;  // standard deviations of a contrast, by which one frame can move the offset
@@ -120,7 +120,7 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
     const float reach = float(M_SQRT2) * TILE * HALF / float(picture.n);  // rad, from the middle of a tile to a corner
     nb::gil_scoped_release release;
     for (int t = 0; t < 6 * tiles * tiles; t++) {
-        int every = EVERY;
+        int every = 1;
         for (float views = DOUBLE; known.data()[t] >= views && every < SELDOM; views += DOUBLE) every *= 2;
         if (turn >= 0 && t % every != turn % every) continue;
         const int face = t / (tiles * tiles), row = t / tiles % tiles, column = t % tiles;
@@ -136,7 +136,7 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
 /// Only a sample for which the two explanations differ says something. What the turning picture leaves unexplained in
 /// the mean is the contrast of light, `offset`, of which a frame has the share `settle`.
 void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tuple after, double noise, double share,
-                  double settle, int turn) {
+                  double settle) {
     const Samples samples = read_samples(samples_);
     const Picture picture = read_picture(picture_[0], picture_[1]);
     const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
@@ -148,11 +148,10 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
             throw nb::type_error("mean, odds, offset: must have the shape of direction");
     const float variance = float(noise * noise), limit = MOST_OF_OFFSET * float(noise);
     for (int i = 0; i < samples.size(); i++) {
-        const int row = i / samples.columns;
-        if ((turn >= 0 && row % 4 != turn % 4) || !(samples.direction[3 * size_t(i)] < 2.0f)) continue;
-        const float now = samples.at(row, i % samples.columns);
+        if (!(samples.direction[3 * size_t(i)] < 2.0f)) continue;
+        const float now = samples.at(i / samples.columns, i % samples.columns);
         float &before = mean.data()[i], &light = offset.data()[i];
-        const Look seen = look(picture, R.transpose() * samples.towards(i));
+        const Look seen = look(picture, place_on(R.transpose() * samples.towards(i), picture.n));
         if (seen.weight > LEAST_WEIGHT) {
             const float apart = before - seen.value, stays = now - before, turns = now - seen.value;
             if (apart * apart > APART * variance) {
@@ -172,7 +171,7 @@ void bind_learn(nb::module_& m) {
     m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
           arg("most"), arg("turn"), arg("forget"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),
-          arg("share"), arg("settle"), arg("turn"));
+          arg("share"), arg("settle"));
 }
 
 }  // namespace spheremouse::ball

@@ -60,12 +60,14 @@ _TURNING, _SEEN = (
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
-_LOOKS = 10.0  # such paths, each in one frame of four, after which the contrast of light is known
+_EVERY = 4  # frames, of which one is learnt and another weighed: neighbours in time show the same
+_LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
 _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
-_FLOOR_PX = 0.07  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
+_FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
 _SHADING_PX = 0.1  # by which light that stands still shifts a contour
+_PLAIN = 0.25  # of the usual details, below which the ball is covered: another pattern may have half of them
 _OTHER_BALL_S = 5.0  # of details that fit at no attitude: it is another ball, or was painted
 
 
@@ -112,7 +114,7 @@ def detect_texture(
         if not searched:
             usual = now.usual + _RECENT * (alignment.correlation - now.usual)
             now = now._replace(usual=usual, details=now.details + _RECENT * (_details(detector, now) - now.details))
-    elif _details(detector, now) < 0.5 * now.details:
+    elif _details(detector, now) < _PLAIN * now.details:
         now = now._replace(plain_at=frame.stamp)
     found, shown = _detections(detector.fine, alignment, tracker)
     far = turns and _path(detector, now, alignment) > _PROVEN_PX
@@ -193,19 +195,21 @@ def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> Te
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
     pixel = detector.fine.pixel
     starts = not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
-    moved = now.turned and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
+    turn, task = divmod(now.turn, _EVERY)
+    moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
     settle = min(path / _DETAIL, 1.0) / _LOOKS
     levels = []
     for view, level in zip(detector.views, (now.fine, now.coarse), strict=True):
-        seen = weigh(view, level.seen, level.picture, attitude, now.noise, now.turn if now.turned else -1, settle)
-        picture = level.picture
+        seen, picture = level
+        if task == _EVERY // 2 or not now.turned:
+            seen = weigh(view, seen, picture, attitude, now.noise, settle)
         if starts:
             seen = seen_again(view, seen, seen.contrast, now.noise)
             picture = learn(view, seen, picture, now.began, _VIEWS, forget=True)
             picture = learn(view, seen, picture, attitude, _VIEWS)
         elif moved:
-            picture = learn(view, seen, picture, attitude, _VIEWS, now.turn)
+            picture = learn(view, seen, picture, attitude, _VIEWS, turn)
         levels.append(Level(seen, picture))
     learnt = attitude if starts or moved else now.learnt_at
     return now._replace(fine=levels[0], coarse=levels[1], learnt_at=learnt, turned=now.turned or starts)

@@ -28,6 +28,8 @@ struct Place {
     int face, row, column;
     float down, right;
     float by_row, by_column, inverse, sign;  // coordinates on the face, and one over the depth
+
+    int tile(int n) const { return (face * (n / TILE) + row / TILE) * (n / TILE) + column / TILE; }
 };
 
 /// Return the last cell of a row of n at or before `x` that has a next one. It exists for any `x`, nan as well.
@@ -61,8 +63,7 @@ struct Look {
     Vector3f gradient;
 };
 
-inline Look look(const Picture& picture, const Vector3f& x) {
-    const Place p = place_on(x, picture.n);
+inline Look look(const Picture& picture, const Place& p) {
     const size_t at = (size_t(p.face) * picture.n + p.row) * picture.n + p.column, below = at + picture.n;
     const float *v = picture.value, *w = picture.weight;
     const float across = v[at + 1] - v[at], across_below = v[below + 1] - v[below];

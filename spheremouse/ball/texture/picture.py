@@ -204,8 +204,8 @@ def learn(
 ) -> Picture:
     """Return the picture with what a frame at `attitude`, (3, 3), shows. A cell is the mean of up to `most` views.
 
-    With a `turn`, the number of the frame, each frame learns a part. With `forget`, the picture loses instead what a
-    frame at that attitude took from pixels that stand still.
+    With a `turn`, the number of calls so far, each call learns some of the well known parts. With `forget`, the picture
+    loses instead what a frame at that attitude took from pixels that stand still.
     """
     learnt = Picture(*(part.copy() for part in picture))
     kernels.learn_texture(
@@ -240,16 +240,14 @@ def contrast_noise(grain: float, light: float) -> float:
     return float(np.hypot(_NOISE, grain / max(light, 1.0)))
 
 
-def weigh(
-    view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float, turn: int, settle: float = 0.0
-) -> Seen:
+def weigh(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float, settle: float = 0.0) -> Seen:
     """Return the samples with the odds after a frame at `attitude`, (3, 3), that they turn with the ball.
 
     What stands still affects the contrast of its neighbourhood too. The offset takes the share `settle` of a frame.
     """
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
-    kernels.weigh_static(_samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, turn)
+    kernels.weigh_static(_samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle)
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     least = cv2.erode(cv2.medianBlur(odds, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
@@ -267,13 +265,12 @@ def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array,
 
 
 def anchor_directions() -> Array:
-    """Return the 42 corners and mid-edges of an icosahedron as unit vectors, (42, 3): anchors about 36° apart."""
+    """Return the 20 corners of a dodecahedron as unit vectors, (20, 3): anchors 42° apart."""
     golden = 0.5 * (1.0 + 5.0**0.5)
-    corners = np.array([np.roll([0.0, a, b * golden], k) for k in range(3) for a in (-1, 1) for b in (-1, 1)])
-    corners /= np.linalg.norm(corners, axis=1, keepdims=True)
-    first, second = np.nonzero(np.triu(corners @ corners.T > 0.4, 1))
-    middle = corners[first] + corners[second]
-    return np.concatenate([corners, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+    signs = (-1.0, 1.0)
+    cube = [(a, b, c) for a in signs for b in signs for c in signs]
+    others = [np.roll([0.0, a / golden, b * golden], k) for k in range(3) for a in signs for b in signs]
+    return np.array([*cube, *others]) / 3.0**0.5
 
 
 def tile_directions(cells: int) -> Array:

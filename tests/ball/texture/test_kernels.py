@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.texture.picture import first_seen, learn, weigh
-from spheremouse.geometry.rotation import exp
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels
 from tests.ball.texture.painted import DETECTOR, NOISE, contrast_at, picture_of, plain, waves
 
@@ -40,9 +40,9 @@ def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, turn=-1, forget=False,
     return value, weight, tiles
 
 
-def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, turn=-1, **samples):
+def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, **samples):
     after = mean.copy(), odds_after.copy(), offset_after.copy()
-    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01, turn)
+    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01)
     return after
 
 
@@ -102,7 +102,7 @@ def test_other_wrong_arrays_are_named(function, name, wrong):
         function(**{OTHER_NAMES.get((function, name), name): wrong})
 
 
-@pytest.mark.parametrize("anchor", [-1, 42])
+@pytest.mark.parametrize("anchor", [-1, 20])
 def test_an_anchor_that_does_not_exist_is_refused(anchor):
     with pytest.raises(IndexError, match="anchor_of"):
         aligned(anchor_of=np.full_like(VIEW.anchor_of, anchor))
@@ -164,44 +164,32 @@ def test_the_information_of_the_anchors_is_that_of_their_pixels():
     """With one anchor it is the sum of those of all."""
     each, one = aligned(), aligned(anchor_of=np.zeros_like(VIEW.anchor_of), anchors=1)
     for member in (5, 6, 7):
-        assert np.allclose(each[member].sum(axis=0), one[member][0], rtol=1e-9, atol=1e-9 * np.abs(one[member]).max())
+        assert np.allclose(each[member].sum(axis=0), one[member][0], rtol=1e-9, atol=1e-9 * np.abs(each[member]).max())
 
 
-def test_the_gradient_of_the_information_vanishes_at_the_attitude_found():
-    """A step that the normal equations of all anchors would make is within what the rounds leave, 1e-4 rad."""
+def test_an_alignment_from_the_attitude_found_stays_there():
+    """It moves by what the rounds leave, 1e-4 rad."""
     found = aligned(R=exp(np.array([2e-3, 0.0, 1e-3])) @ R)
-    assert np.linalg.norm(np.linalg.solve(found[5].sum(axis=0), found[6].sum(axis=0))) < 1e-4
+    assert np.linalg.norm(log(aligned(R=found[0])[0] @ found[0].T)) < 1e-4
 
 
 @pytest.mark.parametrize("known", [0.0, 10.0])
 def test_frames_in_a_row_learn_all_of_a_picture_in_parts(known):
-    """Each tile that is not known yet in 4 frames, and each that is in 32."""
+    """Each tile that is not known yet in one frame, and each that is in 8."""
     start = picture_of(VIEW, plain, known)
-    parts = [learn(VIEW, SEEN, start, R, 100.0, turn=k).weight > known for k in range(32)]
+    parts = [learn(VIEW, SEEN, start, R, 100.0, turn=k).weight > known for k in range(8)]
     whole = learn(VIEW, SEEN, start, R, 100.0).weight > known
-    every = 4 if known == 0.0 else 32
+    every = 1 if known == 0.0 else 8
     assert np.array_equal(np.any(parts[:every], axis=0), whole)
     counts = [np.count_nonzero(p) for p in parts[:every]]
     assert sum(counts) == np.count_nonzero(whole)  # none twice
     assert max(counts) < 2.0 * np.count_nonzero(whole) / every + 64 * 3
 
 
-def test_four_frames_in_a_row_weigh_all_samples():
-    contrast = contrast_at(VIEW, waves(0), np.eye(3))
-    seen = SEEN._replace(contrast=contrast)
-    whole, once = weigh(VIEW, seen, PICTURE, R, NOISE, -1), seen
-    for turn in range(4):
-        before, once = once, weigh(VIEW, once, PICTURE, R, NOISE, turn)
-        rows = np.flatnonzero(np.any(before.odds != once.odds, axis=1))
-        assert set(rows % 4) == {turn}
-    assert np.array_equal(once.odds, whole.odds)
-    assert np.array_equal(once.mean, whole.mean)
-
-
 @pytest.mark.parametrize("noise", [1e-30, 1e30])
 def test_odds_stay_within_twelve_nats(noise):
     seen = SEEN._replace(contrast=contrast_at(VIEW, waves(1), np.eye(3)))
     for _ in range(10):
-        seen = weigh(VIEW, seen, PICTURE, R, noise, -1)
+        seen = weigh(VIEW, seen, PICTURE, R, noise)
     assert np.abs(seen.odds).max() <= 12.0
     assert (np.abs(seen.odds).max() > 11.0) == (noise < 1.0)

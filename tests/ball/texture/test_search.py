@@ -40,7 +40,7 @@ def is_right(found, R):
     ],
 )
 def test_a_fit_needs_correlation_and_details_and_an_end(change, expected):
-    blank = np.zeros((42, 3, 3))
+    blank = np.zeros((20, 3, 3))
     found = Alignment(np.eye(3), 1.0, 0.9, 6000, True, blank, blank[:, 0], blank[:, 0, 0])
     assert fits(found._replace(**change)) == expected
 
