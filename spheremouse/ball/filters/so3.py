@@ -20,10 +20,8 @@ from spheremouse.ball.filters.so3_motion import (
     KINEMATIC_DIM,
     MAP_OFFSET,
     READOUT,
-    integrals,
 )
 from spheremouse.ball.filters.so3_settings import (
-    PERSISTENCE_S,
     So3Settings,
     activity_of,
     squared_levels,
@@ -286,8 +284,6 @@ class So3Filter:
 
         A large correction is made again about the state it leads to.
         """
-        if len(pairing.rows) == 0:
-            return self._coasted(state), 0.0
         corrected, log_likelihood = self._corrected(state, points, pairing)
         columns = pairing.columns
         return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
@@ -301,21 +297,6 @@ class So3Filter:
         Q, sightings = _NO_NOISE, state.sightings
         at_frame = *motion, joint, *sightings, rows, weights, Q, *figures
         return So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates), log_likelihood
-
-    def _coasted(self, state: So3State) -> So3State:
-        """Return the state after a frame without pairs.
-
-        Such a frame gives no information about steps. Their mean effect is that the acceleration fades.
-        """
-        noise_scale, mean = self._expected(state), np.zeros(len(state.joint))
-        joint = state.joint.copy()
-        joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += (noise_scale - 1.0) * state.process
-        t, tau = state.interval, PERSISTENCE_S
-        gain, reach = integrals(t, tau)
-        mean[:KINEMATIC_DIM] = np.outer(
-            [reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration
-        ).ravel()
-        return inject(state, mean, joint, state.weights, float(np.sqrt(noise_scale)), _NONE, 0.0)
 
     def keep_map(
         self,

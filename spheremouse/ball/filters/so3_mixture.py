@@ -23,6 +23,7 @@ _MAX_NODES_OF_OTHERS = 2
 _MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, determine the attitude
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, largest difference of attitudes that count as equal: a tenth of a degree
+_SAME_RATE = 16.3  # squared Mahalanobis distance of rates that count as equal: chi-square with 3 degrees, 99.9 %
 _WIDE_GATE = 3.0  # times the gate: a prior's error may exceed its covariance, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FEW_POINTS = 4  # in view: so few discs may not determine the rotation
@@ -122,9 +123,9 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
 
 
 def _distinct(nodes: list[_Node], most: int) -> list[_Node]:
-    """Return at most `most` nodes near the best, of different attitudes.
+    """Return at most `most` nodes near the best, of different attitudes or rates.
 
-    An assignment that leaves out a pair of another one leads to the same attitude. Only the likelier one is kept.
+    An assignment that leaves out a pair of another one leads to the same motion. Only the likelier one is kept.
     """
     kept: list[_Node] = []
     for node in sorted(nodes, key=lambda node: -node.log_likelihood):
@@ -167,6 +168,12 @@ def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -
     return float(np.sum(np.log(missed)))
 
 
-def _alike(a: So3State, b: So3State) -> bool:
-    """Return whether two states have the same attitude."""
-    return bool(np.trace(a.attitude.T @ b.attitude) > 1.0 + 2.0 * math.cos(_SAME))
+def _alike(state: So3State, likelier: So3State) -> bool:
+    """Return whether a likelier state stands for another one: the same attitude, and a rate that may be as different.
+
+    A ball that passes through an attitude is not the ball that rests there.
+    """
+    if np.trace(state.attitude.T @ likelier.attitude) <= 1.0 + 2.0 * math.cos(_SAME):
+        return False
+    off = state.rate - likelier.rate
+    return float(off @ np.linalg.solve(likelier.joint[3:6, 3:6], off)) < _SAME_RATE

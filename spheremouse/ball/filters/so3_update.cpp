@@ -161,7 +161,8 @@ Pending read_pending(nb::tuple pending, const Body& body, const Activity& activi
 
 nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
     const Matrix<Dynamic> at_level = r.steps.modes.weights.colwise().sum();
-    const nb::object modes = r.pairs > PAIRS_WITHOUT_MODES ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
+    const bool certain = r.pairs == 0 || r.pairs > PAIRS_WITHOUT_MODES;
+    const nb::object modes = certain ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
     return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), to_numpy(Each(at_level.row(0))),
                           nb::make_tuple(r.steps.level, r.nis, moved.readout), modes);
 }

@@ -84,6 +84,21 @@ def test_a_certain_frame_keeps_one_hypothesis():
         assert state.alternatives == ()
 
 
+def test_a_ball_that_passes_through_an_attitude_is_none_that_rests_there():
+    rng = np.random.default_rng(1)
+    discs = directions(12, 1)
+    tracker, state = known_ball(discs, rng)
+    state = at_rest(tracker, state, discs, rng)
+    rests = tracker.filter.predict(state.filter, state.filter.stamp + DT)
+    predicted = [
+        Hypothesis(replace(rests, rate=np.array([0.0, 0.0, rate])), np.log(probability))
+        for rate, probability in ((8.0, 0.6), (0.0, 0.4))
+    ]
+    points = intersect(photo(np.eye(3), rng, discs).take(np.zeros(0, dtype=np.intp)), RIG, POSE)
+    made = update_hypotheses(tracker.filter, tuple(predicted), points, np.zeros(0, dtype=bool))
+    assert [round(h.state.rate[2]) for h in made] == [8, 0]
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_ball_with_ten_discs_is_followed_by_what_is_in_view(seed):
     """Two discs and fewer for much of the time; the attitude stays the right one, and its covariance says how well."""
