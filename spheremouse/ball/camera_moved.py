@@ -9,18 +9,21 @@ import numpy as np
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import build
 from spheremouse.ball.camera_watch import CameraMonitor
+from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, align, log, tangent_basis
 from spheremouse.tracker import Frame, Status
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _STIRRED = 8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
 _RESTS = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
+_UNNOTICED = 0.02  # rad, by which a camera may seem to turn the ball without a suspected bump
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 
 
@@ -68,6 +71,23 @@ def hidden(watch: CameraMonitor | None) -> bool:
     if watch is None or sum(patch is not None for patch in watch.patches) < 3:
         return False
     return int(np.count_nonzero(watch.seen)) < 3
+
+
+def apparent_turn(shift: Array, tracker: Tracker) -> Array:
+    """Return the turn of the ball, (3,) rad, as which an unnoticed motion of the camera appears.
+
+    `shift` (n, 2) px is that of the targets; nan if hidden. The turn is at most one without a suspected bump.
+    """
+    towards, radius = tracker.filter.towards_camera, 0.5
+    across = radius * tangent_basis(towards[None])[0].T
+    directions = towards + np.concatenate([across, -across])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    uv = seen_at(directions, tracker.rig, tracker.pose) + np.nanmedian(shift, axis=0)
+    seen, which = directions_at(uv, tracker.rig, tracker.pose)
+    if len(which) < 2:
+        return np.zeros(3)
+    turn = log(align(directions[which], seen))
+    return turn * min(1.0, _UNNOTICED / max(float(np.linalg.norm(turn)), _UNNOTICED))
 
 
 def bump_suspected(state: TrackState[So3State]) -> bool:

@@ -30,6 +30,7 @@ DISPLACED_PX = 0.15  # shift of a moved target: seven standard deviations of its
 RING_SIGMA_PX = 0.02  # standard deviation of a shift measured on the rings' edges
 MATCH_SIGMA_PX = 0.1  # standard deviation of a shift by correlation: the background of a target shifts otherwise
 _INTERVAL_S = 1.0  # the time in which each target is measured once, one at a time
+_SHAKES_S = 1.0  # s, after which a camera that was displaced counts as at rest
 _MIN_CORRELATION = 0.7  # with the remembered patch; below, something hides the target
 _STILL_PX = 0.15  # shift of the targets between two frames while the camera stands
 _FAR = 0.05  # image widths within which a displaced target is searched; beyond, its colours find it
@@ -50,6 +51,7 @@ class CameraMonitor:
     due: float = -np.inf  # s, time of the next check
     shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px while the camera is away; nan: hidden
     away: float | None = None  # s, start of the camera's displacement; None: not displaced
+    shaken: float = -np.inf  # s, last frame in which the camera was displaced
     tried: float = -np.inf  # s, last search for the targets by their colours
     asked: bool = False  # a grey frame showed a displaced target: the next frame, in colour, checks all targets
 
@@ -143,10 +145,12 @@ def check_next_target(
 ) -> tuple[CameraMonitor, bool]:
     """Check the next target if it is due, or the next two at once if a bump is suspected.
 
-    Return the monitor, and whether one is displaced. A target that has just disappeared counts as displaced once. A
-    displaced target does not prove that the camera has moved. That decision needs a check of all targets.
+    A camera that was displaced may go on to shake, so a bump is suspected for a second. Return the monitor, and whether
+    one is displaced. A target that has just disappeared counts as displaced once. A displaced target does not prove
+    that the camera has moved. That decision needs a check of all targets.
     """
     step = _INTERVAL_S / len(watch)
+    bump_suspected |= watch.shaken <= stamp < watch.shaken + _SHAKES_S
     if not bump_suspected and watch.due - step <= stamp < watch.due:
         return watch, False
     seen, odd, turn = watch.seen.copy(), False, watch.turn

@@ -29,7 +29,7 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.filters.so3_state import PLACED
+from spheremouse.ball.filters.so3_state import PLACED, with_false_turn
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
@@ -172,7 +172,7 @@ def _with_new_pose(
     filtered = anew.method.at_new_pose(state, anew, added)
     watch = watching.begin(anew.rig, anew.pose) if anew.method.keeps_map else None
     if watch is not None:
-        watch = replace(camera_moved.with_references(watch, frame, anew), due=frame.stamp)
+        watch = replace(camera_moved.with_references(watch, frame, anew), due=frame.stamp, shaken=frame.stamp)
     phase = _from_elsewhere(state.phase)
     state = state._replace(
         phase=phase,
@@ -203,17 +203,22 @@ def _from_elsewhere(phase: Phase) -> Phase:
 def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
     """Process a frame of a moving camera: wait, and lose the ball after a while.
 
-    Nothing was detected in such a frame, so it does not show that discs are hidden.
+    Nothing was detected in such a frame, so it does not show that discs are hidden. The frames before may have shown
+    the camera's motion as one of the ball.
     """
     assert state.watch is not None
-    away = stamp if state.watch.away is None else min(state.watch.away, stamp)
-    predicted = tracker.filter.predict(state.filter, stamp)
+    before = state.watch.away
+    away = stamp if before is None else min(before, stamp)
+    filtered = state.filter
+    if before is None:
+        filtered = with_false_turn(filtered, camera_moved.apparent_turn(state.watch.shift, tracker))
+    predicted = tracker.filter.predict(filtered, stamp)
     state = state._replace(
         filter=replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden),
         detections=no_detections(),
         points=no_points(tracker),
         confirmed=False,
-        watch=replace(state.watch, away=away),
+        watch=replace(state.watch, away=away, shaken=stamp),
     )
     if state.status is Status.TRACKING and stamp - away > tracker.settings.loss.lost_after:
         return _reported(lost(state), stamp, (BallLost(Why.CAMERA),))

@@ -8,9 +8,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.build import build
+from spheremouse.ball.camera_moved import apparent_turn
+from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
@@ -75,6 +79,28 @@ def test_every_target_is_looked_at_once_in_an_interval(near):
     n = len(watch)
     assert turns[: 2 * n] == [(k + 1) % n for k in range(2 * n)]
     assert len(turns) <= 2 * n + 1
+
+
+def test_two_targets_are_looked_at_in_each_frame_after_the_camera_was_displaced(near):
+    watch, turns = replace(near.watch(), shaken=0.0), [0]
+    for k in range(1, 60):
+        watch, _ = watching.check_next_target(watch, near.still[1], k / 30.0, bump_suspected=False)
+        turns.append(watch.turn)
+    steps = np.diff(turns) % len(watch)
+    assert np.all(steps[:29] == 2)
+    assert np.count_nonzero(steps[30:]) <= len(watch) + 1
+
+
+@pytest.mark.parametrize("name", ["near", "far"])
+def test_a_shift_of_the_image_appears_as_a_turn_of_the_ball_if_it_is_small(name, request):
+    film = request.getfixturevalue(name)
+    tracker = build(film.rig, film.before, Settings())
+    shift = np.array([0.3, -0.2])
+    turn = apparent_turn(np.vstack([np.tile(shift, (3, 1)), [np.nan, np.nan]]), tracker)
+    middle = tracker.filter.towards_camera
+    before, after = seen_at(np.stack([middle, exp(turn) @ middle]), film.rig, film.before)
+    assert_allclose(after - before, shift, rtol=0.3)
+    assert np.linalg.norm(apparent_turn(np.tile(100.0 * shift, (3, 1)), tracker)) < 0.03
 
 
 @pytest.mark.parametrize("grey", [False, True])

@@ -16,6 +16,7 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangen
 from spheremouse.native import kernels
 
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
+_FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -343,6 +344,24 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
         hidden=np.full(m, HIDDEN_SHARE),
         candidates=_NONE,
     )
+
+
+def with_false_turn(state: So3State, turn: Array) -> So3State:
+    """Return the state whose motion may include any part of a `turn`, (3,) rad, that the ball did not make.
+
+    The camera moved by as much, for a time that is unknown.
+    """
+    effects = [np.outer(turn, turn) / _FALSE_TURN_S ** (2 * k) for k in range(3)]
+    joint = state.joint.copy()
+    for k, effect in enumerate(effects):
+        joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += effect
+    if state.modes is None:
+        return replace(state, joint=joint)
+    means, covariances, weights = state.modes
+    covariances = covariances.copy()
+    covariances[:, :3, :3] += effects[1]
+    covariances[:, 3:, 3:] += effects[2]
+    return replace(state, joint=joint, modes=(means, covariances, weights))
 
 
 def consider(joint: Array, covariance: Array) -> None:

@@ -29,7 +29,7 @@ from so3_world import (
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, CONSIDERED_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_state import augment, inject
+from spheremouse.ball.filters.so3_state import augment, inject, with_false_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -360,3 +360,21 @@ def test_new_discs_depend_on_the_readout_as_finite_differences_say(rate):
     added, *ends = (augment(replace(bare, readout=readout + s * h), points, rows, RADIUS) for s in (0, 1, -1))
     slope = np.einsum("mij,mi->mj", added.basis, (ends[0].discs - ends[1].discs) / (2 * h)).ravel()
     assert_allclose(added.joint[MAP_OFFSET:-CLONE_DIM, READOUT], slope, atol=1e-4 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_false_turn_is_taken_back_without_a_push(seed):
+    """The camera moved for three frames, and its pose was corrected: the ball has rested all the time."""
+    rng = np.random.default_rng(seed)
+    state, R = settled(rate=(0.0, 0.0, 0.0), n=60)
+    turn = np.radians(0.3) * np.array([0.6, -0.8, 0.0])
+    for part in (0.1, 0.4, 1.0):
+        points = points_at(DISCS[:6] @ (exp(part * turn) @ R).T, rng=rng)
+        state = FILTER.update(FILTER.predict(state, state.stamp + DT), points)
+    after = [
+        FILTER.update(FILTER.predict(before, state.stamp + DT), points_at(DISCS[:6] @ R.T, rng=rng))
+        for before in (state, with_false_turn(state, turn))
+    ]
+    assert np.linalg.norm(after[1].rate) < 0.5 * np.linalg.norm(after[0].rate)
+    assert np.linalg.norm(after[1].rate) < 3.0 * np.sqrt(np.trace(after[1].joint[3:6, 3:6]))
+    assert np.linalg.norm(log(after[1].attitude @ R.T)) < 5.0 * SIGMA
