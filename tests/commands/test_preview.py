@@ -1,12 +1,17 @@
-"""`spheremouse preview` on films with known faults."""
+"""A camera or a film without a rig: the preview, and the ball's outline."""
 
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from invoking import invoke
 
-from spheremouse.files.rig import rig_text
+from spheremouse.calibrate.outline.fit import R_OBJ_CAM, pinhole
+from spheremouse.commands import app
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 
@@ -83,3 +88,108 @@ def test_an_error_is_one_line_and_leaves_no_file(spheremouse, shot, tmp_path):
         assert (code, text, len(err.splitlines())) == (2, "", 1)
         assert said in err
     assert sorted(tmp_path.iterdir()) == before
+
+
+CAMERA = Path("camera.yaml")  # of pictures of 640x480
+
+
+def clicks(recording):
+    """Points on the outline of the recording's ball, as a person would give them, to a pixel."""
+    from spheremouse.ball.detect.appearance import ball_outline
+
+    scene = open_dataset(recording)
+    return " ".join(f"{x:.0f},{y:.0f}" for x, y in ball_outline(scene.rig, scene.pose, 7))
+
+
+def test_a_film_without_a_calibration_is_tracked_in_the_axes_of_its_camera(recording, tmp_path):
+    film, out = recording / "video.mkv", tmp_path / "ball"
+    code, text = invoke(app, "ball", film, "--out", out)
+    assert code == 0, text
+    assert "assumed: a field of view of 45° from top to bottom" in text
+    assert "rotations across the view come out 2." in text
+    assert sorted(p.name for p in out.iterdir()) == ["camera.yaml", "config.yaml", "outline.png", "rig.yaml"]
+    assert load_camera(out / "camera.yaml").fy == pytest.approx(120.0 / np.tan(np.radians(22.5)))
+    lines = tmp_path / "lines.jsonl"
+    code, text = invoke(app, "track", film, "--rig", out / "rig.yaml", "--output", f"text:{lines}")
+    assert code == 0, text
+    samples = [json.loads(line) for line in lines.read_text().splitlines()]
+    scene = open_dataset(recording)
+    R = R_OBJ_CAM @ scene.pose.rotation.T  # the film's camera is rolled by 90° in the device's axes
+    tracked = [s for s in samples if s["status"] == "tracking" and s["confirmed"]]
+    assert len(tracked) > 60
+    rates = np.array([s["rate"] for s in tracked])
+    true = scene.truth.rate[[round(s["stamp"] * 30.0) for s in tracked]] @ R.T
+    scale = np.sum(rates * true, axis=0) / np.sum(true * true, axis=0)
+    np.testing.assert_allclose(scale, [0.974, 0.974, 1.0], atol=0.03)
+
+
+def test_a_recording_gives_its_camera_and_evaluate_turns_the_truth_into_the_axes_of_the_rig(recording, tmp_path):
+    out, figures = tmp_path / "ball", tmp_path / "figures.json"
+    assert invoke(app, "ball", recording, "--out", out)[0] == 0
+    code, text = invoke(app, "evaluate", recording, "--rig", out / "rig.yaml", "--json", figures)
+    assert code == 0, text
+    assert json.loads(figures.read_text())["rate_rmse_deg_s"]["combined"] < 5.0
+
+
+def test_points_by_hand_need_no_motion_and_find_the_same_ball(recording, tmp_path):
+    assert invoke(app, "ball", recording, "--out", tmp_path / "a")[0] == 0
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "b", "--points", clicks(recording))
+    assert code == 0, text
+    a, b = (load_rig(tmp_path / name / "rig.yaml").pose for name in "ab")
+    off = b.position - a.position
+    C = a.covariance[:3, :3] + b.covariance[:3, :3]
+    assert off @ np.linalg.solve(C, off) < 16.3  # 0.999
+
+
+def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
+    points = clicks(recording).split()
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "a", "--points", *points)
+    assert code == 0, text
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "b", "--points", " ".join(points))
+    assert code == 0, text
+    assert (tmp_path / "a" / "rig.yaml").read_text() == (tmp_path / "b" / "rig.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("another.mkv",), "another.mkv: give one film; points come after --points"),
+        (("--points", "1,2 3,4"), "--points: 2 points fix no outline; give 3 or more"),
+        (("--points", "1,2 3 5,6"), "--points '1,2 3 5,6': write X,Y in px, as in \"320,72"),
+        (("--points", "1,2 3,4 nan,6"), "write X,Y in px"),
+        (("--points", "10,10 20,20 30,30"), "on no outline of a ball; give points all around it"),
+        (("--points", "152,30 250,120 160,206 70,120 160,120"), "160,120 is "),
+        (("--vfov", 45, "--camera", CAMERA), "--camera and --vfov: give one of the two"),
+        (("--camera", CAMERA), "frame 0 is 320x240, the camera was calibrated at 640x480: "),
+        (("--camera", "nowhere.yaml"), "nowhere.yaml"),
+    ],
+)
+def test_a_wrong_request_is_one_line_with_a_remedy_and_writes_nothing(recording, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    save_camera(CAMERA, pinhole((640, 480), 45.0))
+    code, text = invoke(app, "ball", recording, "--out", tmp_path / "ball", *words)
+    assert code == 2
+    assert message in text
+    assert len(text.splitlines()) == 1
+    assert not (tmp_path / "ball").exists()
+
+
+def test_a_folder_is_replaced_only_with_force_and_a_file_never(recording, tmp_path):
+    out, words = tmp_path / "ball", ("--points", clicks(recording))
+    assert invoke(app, "ball", recording, "--out", out, *words)[0] == 0
+    before = (out / "rig.yaml").read_text()
+    code, text = invoke(app, "ball", recording, "--out", out, *words, "--vfov", 60)
+    assert (code, before) == (2, (out / "rig.yaml").read_text())
+    assert "there already; name another file, or replace it with --force" in text
+    assert invoke(app, "ball", recording, "--out", out, *words, "--vfov", 60, "--force")[0] == 0
+    assert before != (out / "rig.yaml").read_text()
+    assert "is a file; name a folder" in invoke(app, "ball", recording, "--out", out / "rig.yaml", *words)[1]
+
+
+def test_a_missing_film_and_a_film_without_a_rig_are_one_line(recording, tmp_path):
+    code, text = invoke(app, "ball", tmp_path / "none.mkv", "--out", tmp_path / "ball")
+    assert (code, len(text.splitlines())) == (2, 1)
+    assert "none.mkv: no such file; name a film" in text
+    code, text = invoke(app, "track", recording / "video.mkv", "--output", "null")
+    assert code == 2
+    assert "give its rig file with --rig" in text

@@ -1,4 +1,4 @@
-"""`spheremouse calibrate photos`: films of a board in, an evening's folder out, and what a person reads of it."""
+"""Photos taken for a calibration, and the device file that nobody filled in."""
 
 import json
 import shlex
@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import CAMERA, picture, places
+from conftest import datasets_dir
 from typer.testing import CliRunner
 
 from spheremouse.calibrate.board import NAME, Pattern, load_board
@@ -17,6 +18,7 @@ from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
 from spheremouse.files.config import load
 from spheremouse.files.device import device_template
 from spheremouse.files.rig import load_camera, save_camera
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.settings import Configuration
 
 SIZE = CAMERA.width, CAMERA.height
@@ -142,3 +144,41 @@ def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, poses):
     save_camera(tmp_path / "camera.yaml", replace(CAMERA, width=1280, height=960))
     with pytest.raises(CalibrationError, match=r"is for the mode 1280x960, the camera gives 640x480"):
         run("--for", "device", tmp_path, "--source", film(tmp_path / "f.mkv", poses))
+
+
+def run_device(*words):
+    return CliRunner().invoke(app, ["calibrate", "device", *map(str, words)], catch_exceptions=False)
+
+
+@pytest.fixture
+def cabinet(tmp_path):
+    truth = json.loads((datasets_dir() / "stills" / "truth.json").read_text())
+    c = truth["camera"]
+    lens = [c[name] for name in ("fx", "fy", "cx", "cy")]
+    camera = InteriorOrientation(truth["width"], truth["height"], *lens, np.array(c["dist"]), 1e-6 * np.eye(9))
+    save_camera(tmp_path / "camera.yaml", camera)
+    return tmp_path
+
+
+def options(folder, device):
+    return ("--device", device, "--camera", folder / "camera.yaml", "--out", folder / "rig.yaml")
+
+
+def test_a_device_file_nobody_filled_in_is_refused(cabinet):
+    """Its targets may well be those of the photos; the distances are not."""
+    device = cabinet / "device.yaml"
+    device.write_text(device_template(), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="delete its first line") as e:
+        run_device(datasets_dir() / "stills" / "device", *options(cabinet, device))
+    assert "\n" not in str(e.value)
+    assert not (cabinet / "rig.yaml").exists()
+
+
+def test_what_comes_next_saves_what_is_answered(cabinet):
+    stills = datasets_dir() / "stills"
+    result = run_device(stills / "device", *options(cabinet, stills / "device.yaml"))
+    assert result.exit_code == 0, result.output
+    follows = next(line for line in result.output.splitlines() if line.startswith("next: "))
+    config, rig = cabinet / "config.yaml", cabinet / "rig.yaml"
+    assert follows.startswith(f"next: spheremouse axes --config {config} --rig {rig} --source ")
+    assert "uinput" not in result.output  # `axes` has no such option
