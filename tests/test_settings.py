@@ -6,6 +6,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.device import DeviceFile
 from spheremouse.files.disc_map import MapFile
+from spheremouse.files.picture_map import PictureMapFile
 from spheremouse.files.rig.models import CameraFile, RigFile
 from spheremouse.files.wand import WandModel
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
@@ -44,6 +45,7 @@ def unbounded(schema, defs, path=""):
         RigFile,
         CameraFile,
         MapFile,
+        PictureMapFile,
         WandModel,
         DeviceFile,
     ],

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.detect.discs import disc_detector
@@ -12,7 +13,6 @@ from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import with_map
 from spheremouse.ball.phases.method import SO3, SO3_WITH_BLOBS
 from spheremouse.ball.published.blobs import BlobDetector
 from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
@@ -23,19 +23,18 @@ from spheremouse.ball.state import (
     Colours,
     Detector,
     Learning,
-    Recognising,
     Tracker,
     TrackState,
     no_points,
 )
 from spheremouse.ball.texture.method import TEXTURE, shading_covariance
+from spheremouse.ball.texture.picture_map import PictureMap
 from spheremouse.ball.texture.search import texture_detector
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 
 _ANCHOR_ANGLE = 0.1  # rad, of a texture's anchors: they are six times as far apart
-_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 
 
 def check_discs(rig: Rig, settings: Settings) -> None:
@@ -51,6 +50,11 @@ def check_discs(rig: Rig, settings: Settings) -> None:
 def follows_pattern(rig: Rig, settings: Settings) -> bool:
     """Return whether the tracker follows the ball's pattern in place of discs."""
     return detector_of(rig, settings) == "texture"
+
+
+def map_kind(rig: Rig, settings: Settings) -> str:
+    """Return the kind of the map that the tracker learns, as `BallMap.kind`."""
+    return PictureMap.kind if follows_pattern(rig, settings) else DiscMap.kind
 
 
 def detector_of(rig: Rig, settings: Settings) -> str:
@@ -127,27 +131,23 @@ def colours_of(rig: Rig, settings: Settings, before: Colours) -> Colours:
     return before._replace(fixed=False) if fixed is None else Colours(fixed, fixed=True)
 
 
-def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
+def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: BallMap | None = None) -> TrackState:
     """Return the state before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
 
-    With the map of an earlier run (`so3` alone can use it) the discs are recognised first, and the attitude is that of
+    With the map of an earlier run (`so3` alone can use it) the ball is recognised first, and the attitude is that of
     the map: absolute.
     """
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
-    colours = colours_of(tracker.rig, tracker.settings, Colours())
-    saved = known is not None and len(known) >= 3 and tracker.method.keeps_map and not tracker.method.keeps_search
-    if saved and known is not None:
-        start = with_map(start, known, _REMEMBERED)
-        colours = colours if colours.fixed else Colours(known.projection, refined=known.projection != GREY)
-    return TrackState(
-        Recognising() if saved else Learning(),
+    state = TrackState(
+        Learning(),
         start,
         R,
         stamp,
         no_detections(),
         no_points(tracker),
-        colours=colours,
+        colours=colours_of(tracker.rig, tracker.settings, Colours()),
         watch=watching.begin(tracker.rig, tracker.pose) if tracker.method.keeps_map else None,
         readout_known=not tracker.method.keeps_map,
     )
+    return state if known is None else tracker.method.recall(state, known)

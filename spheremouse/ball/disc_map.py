@@ -5,6 +5,7 @@ frame. Two maps are compared: whether they show the same ball, and which discs s
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,75 @@ class DiscMap:
     sightings: NDArray[np.intp]  # (m,) frames in which each was seen
     projection: Projection = GREY  # of colours, in which the discs are darker than the ball
 
+    kind: ClassVar[str] = "discs"
+    alteration: ClassVar[str] = "its discs were moved"
+
     def __len__(self) -> int:
         return len(self.directions)
+
+    @property
+    def amount(self) -> float:
+        """Number of discs, for a comparison with other maps."""
+        return len(self)
+
+    @property
+    def text(self) -> str:
+        """The contents in words."""
+        return f"{len(self)} discs"
+
+    @property
+    def is_finite(self) -> bool:
+        """Return whether the discs' covariance is known."""
+        return bool(np.all(np.isfinite(self.covariance)))
+
+    def compare(self, other: "DiscMap") -> "Comparison | None":
+        """Compare with another map in any frame. Return None if they show no sign of the same ball."""
+        sigma = float(np.clip(np.sqrt(np.median(variances(self)) + np.median(variances(other))), 0.001, 0.02))
+        found = identify(
+            other.directions, self.directions, sigma=sigma, view_axis=_ANY_AXIS, horizon=_ALL_AROUND, risk=_RISK
+        )
+        if found is None:
+            return None
+        comparison = self.compare_at(other, found.rotation)
+        if len(comparison.stayed) >= 3:
+            i, j = comparison.stayed.T
+            weights = 1.0 / (variances(self)[i] + variances(other)[j] + 1e-12)
+            comparison = self.compare_at(other, align(self.directions[i], other.directions[j], weights))
+        return comparison if comparison.same_ball else None
+
+    def compare_at(self, other: "DiscMap", rotation: Array) -> "Comparison":
+        """Compare with another map, whose directions are about those of this one @ rotation.T, (3, 3)."""
+        cosine = other.directions @ rotation @ self.directions.T
+        apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
+        near = np.clip(5.0 * np.sqrt(variances(self)[:, None] + variances(other)[None]), _LEAST, _MOST)
+        stayed = np.stack(assign(apart / near, 1.0), axis=1)
+        left_a = np.setdiff1d(np.arange(len(self)), stayed[:, 0])
+        left_b = np.setdiff1d(np.arange(len(other)), stayed[:, 1])
+        i, j = assign(apart[np.ix_(left_a, left_b)], _REACH)
+        return Comparison(
+            rotation,
+            stayed,
+            np.stack([left_a[i], left_b[j]], axis=1),
+            np.delete(left_a, i),
+            np.delete(left_b, j),
+        )
+
+    def improves(self, saved: "DiscMap") -> bool:
+        """Return whether this map has other discs than a saved one, or one with less than half its deviation."""
+        there = saved.compare_at(self, np.eye(3))
+        i, j = there.stayed.T
+        better = variances(self)[j] < 0.25 * variances(saved)[i]
+        return len(i) < len(saved) or len(j) < len(self) or bool(np.any(better))
+
+    def turned(self, rotation: Array) -> "DiscMap":
+        """Return the map in a frame rotated by (3, 3): the new directions are the old ones @ rotation.T."""
+        before = self.directions
+        after = before @ rotation.T
+        axes = tangent_basis(after).transpose(0, 2, 1) @ rotation @ tangent_basis(before)  # (m, 2, 2)
+        m = len(self)
+        blocks = self.covariance.reshape(m, 2, m, 2)
+        covariance = np.einsum("iab,ibjc,jdc->iajd", axes, blocks, axes).reshape(2 * m, 2 * m)
+        return replace(self, directions=after, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,59 +118,16 @@ class Comparison:
         k = len(self.stayed)
         return k >= 3 and 2 * k >= min(k + len(self.moved) + len(self.gone), k + len(self.moved) + len(self.new))
 
-
-def compare(a: DiscMap, b: DiscMap) -> Comparison | None:
-    """Compare two maps in any frames. Return None if they show no sign of the same ball."""
-    sigma = float(np.clip(np.sqrt(np.median(variances(a)) + np.median(variances(b))), 0.001, 0.02))
-    found = identify(b.directions, a.directions, sigma=sigma, view_axis=_ANY_AXIS, horizon=_ALL_AROUND, risk=_RISK)
-    if found is None:
-        return None
-    comparison = compare_at(a, b, found.rotation)
-    if len(comparison.stayed) >= 3:
-        i, j = comparison.stayed.T
-        weights = 1.0 / (variances(a)[i] + variances(b)[j] + 1e-12)
-        comparison = compare_at(a, b, align(a.directions[i], b.directions[j], weights))
-    return comparison if comparison.same_ball else None
-
-
-def compare_at(a: DiscMap, b: DiscMap, rotation: Array) -> Comparison:
-    """Compare two maps. `rotation`, (3, 3), turns `a`: directions of `b` are about those of `a` @ rotation.T."""
-    cosine = b.directions @ rotation @ a.directions.T
-    apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
-    near = np.clip(5.0 * np.sqrt(variances(a)[:, None] + variances(b)[None]), _LEAST, _MOST)
-    stayed = np.stack(assign(apart / near, 1.0), axis=1)
-    left_a = np.setdiff1d(np.arange(len(a)), stayed[:, 0])
-    left_b = np.setdiff1d(np.arange(len(b)), stayed[:, 1])
-    i, j = assign(apart[np.ix_(left_a, left_b)], _REACH)
-    return Comparison(
-        rotation,
-        stayed,
-        np.stack([left_a[i], left_b[j]], axis=1),
-        np.delete(left_a, i),
-        np.delete(left_b, j),
-    )
+    @property
+    def text(self) -> str:
+        """`24 discs stayed, 1 moved, 1 gone, 2 new`, without empty parts."""
+        parts = [f"{len(self.stayed)} discs stayed"]
+        for name in ("moved", "gone", "new"):
+            if count := len(getattr(self, name)):
+                parts.append(f"{count} {name}")
+        return ", ".join(parts)
 
 
 def variances(disc_map: DiscMap) -> Array:
     """Variance of each disc's direction, (m,) rad², the mean over its two axes."""
     return np.diag(disc_map.covariance).reshape(-1, 2).mean(axis=1)
-
-
-def turned(disc_map: DiscMap, rotation: Array) -> DiscMap:
-    """Return the map in a frame rotated by (3, 3): the new directions are the old ones @ rotation.T."""
-    before = disc_map.directions
-    after = before @ rotation.T
-    axes = tangent_basis(after).transpose(0, 2, 1) @ rotation @ tangent_basis(before)  # (m, 2, 2)
-    m = len(disc_map)
-    blocks = disc_map.covariance.reshape(m, 2, m, 2)
-    covariance = np.einsum("iab,ibjc,jdc->iajd", axes, blocks, axes).reshape(2 * m, 2 * m)
-    return replace(disc_map, directions=after, covariance=covariance)
-
-
-def in_words(comparison: Comparison) -> str:
-    """`24 discs stayed, 1 moved, 1 gone, 2 new`, without empty parts."""
-    parts = [f"{len(comparison.stayed)} discs stayed"]
-    for name in ("moved", "gone", "new"):
-        if count := len(getattr(comparison, name)):
-            parts.append(f"{count} {name}")
-    return ", ".join(parts)

@@ -7,12 +7,12 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.camera_watch import CameraMonitor
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
@@ -25,7 +25,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Estimate, Event, Frame, Status
 
 _NO_TRACK = np.zeros(0, dtype=np.intp)
-_SURE = 10  # sightings from which a disc is worth keeping
+SURE = 10  # sightings from which a disc is worth keeping
 
 Events = tuple[Event, ...]
 F = TypeVar("F", bound=FilterState)
@@ -62,6 +62,8 @@ class Method(NamedTuple):
     keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
     keeps_search: bool  # the detector's state, at another camera pose and with other settings
     exact_centres: bool  # the detector's covariances are right, so the discs can show a lifted ball
+    to_map: Callable[["TrackState"], BallMap | None]  # to be saved; None while too little is known
+    recall: Callable[["TrackState", BallMap], "TrackState"]  # the state that begins with a saved map
     detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, Any]]  # with the predicted filter
     next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points
     at_new_pose: Callable[["TrackState", Tracker, Array | None], Any]  # the filter, after the camera moved
@@ -211,13 +213,6 @@ def statistics(state: TrackState) -> dict[str, float]:
 def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
     """Return the tracker in use: `tracker`, or the one that was rebuilt for a new camera pose."""
     return tracker if state.rebuilt is None else state.rebuilt
-
-
-def disc_map(state: TrackState) -> DiscMap | None:
-    """Return the map of discs to save; None with fewer than four certain ones, or of a method without such a map."""
-    of_discs = isinstance(state.search, SearchState) and not isinstance(state.phase, Recognising)
-    found = state.filter.to_map(_SURE) if of_discs else None
-    return None if found is None else replace(found, projection=state.colours.projection)
 
 
 def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:

@@ -124,6 +124,7 @@ _BOUNDS = {
     "greater_than_equal": ("ge", "must be at least {}"),
     "less_than": ("lt", "must be less than {}"),
     "less_than_equal": ("le", "must be at most {}"),
+    "multiple_of": ("multiple_of", "must be a multiple of {}"),
     "too_long": ("max_length", "must be a list of at most {}"),
     "too_short": ("min_length", "must be a list of at least {}"),
     "literal_error": ("expected", "must be {}"),

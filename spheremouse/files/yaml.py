@@ -85,8 +85,13 @@ def _word(key: str) -> str:
 
 def read_document(path: Path) -> Document:
     """Read the document in a file. Raise ConfigurationError, with the line, for anything but plain YAML."""
+    return parse_bytes(read_raw(path), str(path))
+
+
+def read_raw(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the bytes of a file. Raise ConfigurationError if it cannot be read."""
     try:
-        raw = read_bytes(path, MAX_BYTES, "file of spheremouse")
+        return read_bytes(path, max_bytes, "file of spheremouse")
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; check the path") from None
     except IsADirectoryError:
@@ -95,7 +100,6 @@ def read_document(path: Path) -> Document:
         raise ConfigurationError(f"{path}: cannot be read: {e.strerror or e}") from None
     except ValueError as e:  # a NUL in the name
         raise ConfigurationError(f"{str(path)!r}: cannot be read: {e}") from None
-    return parse_bytes(raw, str(path))
 
 
 def parse_bytes(raw: bytes, name: str) -> Document:

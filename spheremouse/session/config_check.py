@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from spheremouse import capture, output
+from spheremouse.ball.build import map_kind
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.access import STATE_FOLDER
+from spheremouse.files.ball_map import check_fits, load_map
 from spheremouse.files.config import key_of
-from spheremouse.files.disc_map import check_fits, load_map
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
@@ -67,7 +68,7 @@ def _files(file: Path, c: Configuration, found: Found) -> None:
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
         saved = _read(("map",), path, load_map, found)
         if saved is not None and rig is not None:
-            _read(("map",), path, lambda p: check_fits(saved, rig, p), found)
+            _read(("map",), path, lambda p: check_fits(saved, rig, p, map_kind(rig, c)), found)
     for k, name in enumerate(c.wand.balls):
         _read(("wand", "balls", k), beside(file, name), load_wand, found)
     folder = beside(file, c.record.folder)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import build, follows_pattern
-from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
@@ -56,10 +56,10 @@ def run_ball(
     frames: Iterator[Frame],
     rig: Rig,
     settings: Settings,
-    known: DiscMap | None = None,
+    known: BallMap | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> BallRun:
-    """Track frames, with a `known` map of the discs or without. `log` gets the problem of first views without a pose.
+    """Track frames, with a `known` map of the ball or without. `log` gets the problem of first views without a pose.
 
     Raises PoseError if no views show enough targets.
     """

@@ -153,6 +153,7 @@ def sentence(event: Event) -> str:
 def of_pattern(text: str) -> str:
     """Return a sentence about discs for a ball that is followed by its pattern."""
     text = re.sub(r"\d+ look-alikes? masked", "what stands still is masked", text)
+    text = text.replace("its discs were moved", "it was painted")
     return text.replace("discs", "parts of the pattern").replace("disc", "part of the pattern")
 
 

@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import begin as begin_ball
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
@@ -167,8 +167,8 @@ def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view
             view.log(f"output {spec}: {e if isinstance(e, OutputError) else 'the reader of the output is gone'}")
 
 
-def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
-    """Track every frame. With a `known` map of the discs, attitudes are in its frame once the ball is recognised."""
+def track(frames: Iterator[Frame], tracker: Tracker, known: BallMap | None = None) -> Iterator[Epoch]:
+    """Track every frame. With a `known` map of the ball, attitudes are in its frame once the ball is recognised."""
     state: TrackState | None = None
     times = [0.0, 0.0, 0.0]
 

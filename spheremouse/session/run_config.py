@@ -10,12 +10,12 @@ from pathlib import Path
 
 from spheremouse import capture as sources
 from spheremouse import output as outputs
-from spheremouse.ball.build import follows_pattern
+from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
 from spheremouse.files.access import service_state_folder
-from spheremouse.files.disc_map import map_path
+from spheremouse.files.ball_map import map_path
 from spheremouse.files.exchange import read_saved
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
@@ -157,13 +157,10 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     rig_path, camera_path, map_file = (beside(overrides.file, name) for name in (c.rig, c.camera_file, c.map))
     rig = None if rig_path is None else load_rig(rig_path)
     camera = None if camera_path is None else load_camera(camera_path)
-    pattern = rig is not None and follows_pattern(rig, c)
-    if pattern and c.map is not None and not overrides.no_map:
-        raise ConfigurationError("map: none is kept of a ball's pattern; leave the map out")
-    if overrides.no_map or pattern or c.tracker != "so3":
+    if overrides.no_map or c.tracker != "so3":
         map_file = None
-    elif map_file is None and rig_path is not None:
-        map_file = _usual_map(rig_path)
+    elif map_file is None and rig_path is not None and rig is not None:
+        map_file = _usual_map(rig_path, map_kind(rig, c))
     ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
     balls, source = read_balls(ball_paths), sources.full_spec(c.source)
     return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved)
@@ -205,8 +202,8 @@ def _with_folder(c: Configuration, file: Path | None) -> Configuration:
     return replace(c, record=replace(c.record, folder=str(beside(file, c.record.folder))))
 
 
-def _usual_map(rig_path: Path) -> Path:
+def _usual_map(rig_path: Path, kind: str) -> Path:
     """Return the map's path beside the rig, or in the state folder of a service."""
-    usual = map_path(rig_path)
+    usual = map_path(rig_path, kind)
     state = service_state_folder()
     return usual if state is None or os.access(rig_path.parent, os.W_OK) else state / usual.name

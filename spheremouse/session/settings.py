@@ -131,7 +131,7 @@ class Configuration(Settings):
         None, "-", "camera file that replaces the rig's interior orientation, relative to this file's folder"
     )
     map: str | None = param(
-        None, "-", "file for the map of the discs; null keeps it beside the rig file, if that folder is writable"
+        None, "-", "file for the map of the ball; null keeps it beside the rig file, if that folder is writable"
     )
     realtime: Literal["auto", "off"] = param(
         "auto",

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spheremouse.ball.build import follows_pattern
+from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, paced
 from spheremouse.capture.fetch import Streamed
@@ -64,9 +64,8 @@ class Setup:
         rig = plan.device(self.rig)
         keeper = None
         if plan.map_path is not None:
-            if follows_pattern(rig, plan.configuration):
-                raise ConfigurationError("map: none is kept of a ball's pattern; leave the map out")
-            keeper = MapKeeper(plan.map_path, rig, log, elsewhere=partial(do, MAP))
+            kind = map_kind(rig, plan.configuration)
+            keeper = MapKeeper(plan.map_path, rig, kind, log, elsewhere=partial(do, MAP))
         return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
 
     def wand_tracker(self, plan: RunConfig) -> "WandTracker":

@@ -178,4 +178,4 @@ class TrackerAdapter(Protocol):
         return ()
 
     def close(self) -> None:
-        """Save the map of the discs, if there is one."""
+        """Save the map of the ball, if there is one."""

@@ -10,8 +10,9 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, normalised
 from spheremouse.ball.events import DiscColours
+from spheremouse.ball.phases.method import SO3
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Tracking, disc_map
+from spheremouse.ball.state import Tracking
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.evaluation.metrics import attitude_error
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
@@ -117,7 +118,7 @@ def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():
 def test_the_map_keeps_the_colours_and_another_ball_finds_its_own(pair):
     sim, frames = film(pair, seconds=2.0)
     states, *_ = run(sim, frames)
-    known = disc_map(states[-1])
+    known = SO3.to_map(states[-1])
     assert known is not None
     assert known.projection == states[-1].colours.projection
     again, events, *_ = run(sim, frames[30:], known=known)

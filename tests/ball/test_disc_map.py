@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.disc_map import DiscMap, compare, compare_at, in_words, turned
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.points import directions_at, intersect
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Ball, Rig, Targets, considered_covariance, in_metres
@@ -33,13 +33,13 @@ def seen(d, seed, sigma=SIGMA):
 def test_the_same_ball_is_found_in_any_frame_and_another_is_not(seed):
     R = Rotation.random(rng=seed).as_matrix()
     d = directions(26, seed)
-    found = compare(seen(d, 1), seen(d @ R.T, 2))
+    found = seen(d, 1).compare(seen(d @ R.T, 2))
     assert found is not None
     np.testing.assert_array_equal(found.stayed[:, 0], found.stayed[:, 1])
     assert len(found.stayed) == 26
     error = Rotation.from_matrix(found.rotation @ R.T).magnitude()
     assert error < 5 * SIGMA / np.sqrt(26 / 3)  # two maps, 26 discs
-    assert compare(seen(d, 1), seen(directions(26, 100 + seed), 2)) is None
+    assert seen(d, 1).compare(seen(directions(26, 100 + seed), 2)) is None
 
 
 def test_each_discs_fate():
@@ -53,24 +53,24 @@ def test_each_discs_fate():
     fresh = max(directions(300, 6, 0.0), key=lambda u: -np.abs(d @ u).max())  # far from all of them
     later = np.concatenate([np.delete(later, 3, axis=0), [fresh]])
     later /= np.linalg.norm(later, axis=1, keepdims=True)
-    found = compare(seen(d, 1, 3e-4), seen(later @ R.T, 2, 3e-4))
+    found = seen(d, 1, 3e-4).compare(seen(later @ R.T, 2, 3e-4))
     assert found is not None
     assert found.gone.tolist() == [3]
     assert found.new.tolist() == [19]
     assert sorted(found.moved.tolist()) == [[5, 4], [8, 7]]
     assert len(found.stayed) == 17
-    assert in_words(found) == "17 discs stayed, 2 moved, 1 gone, 1 new"
+    assert found.text == "17 discs stayed, 2 moved, 1 gone, 1 new"
 
 
 def test_half_of_the_smaller_map_must_agree():
     d = directions(24, 7)
     other = directions(24, 8)
     mixed = np.concatenate([d[:9], other[9:]])
-    assert not compare_at(seen(d, 1), seen(mixed, 2), np.eye(3)).same_ball
+    assert not seen(d, 1).compare_at(seen(mixed, 2), np.eye(3)).same_ball
     mixed = np.concatenate([d[:14], other[14:]])
-    assert compare_at(seen(d, 1), seen(mixed, 2), np.eye(3)).same_ball
-    assert compare_at(seen(d, 1), seen(d[:7], 2), np.eye(3)).same_ball  # a map just begun
-    assert not compare_at(seen(d, 1), seen(d[:2], 2), np.eye(3)).same_ball
+    assert seen(d, 1).compare_at(seen(mixed, 2), np.eye(3)).same_ball
+    assert seen(d, 1).compare_at(seen(d[:7], 2), np.eye(3)).same_ball  # a map just begun
+    assert not seen(d, 1).compare_at(seen(d[:2], 2), np.eye(3)).same_ball
 
 
 def test_a_turned_map_has_the_covariance_of_turned_samples():
@@ -79,14 +79,14 @@ def test_a_turned_map_has_the_covariance_of_turned_samples():
     A = rng.normal(size=(10, 10)) * 1e-3
     before = DiscMap(d, A @ A.T, np.arange(5))
     R = Rotation.random(rng=2).as_matrix()
-    after = turned(before, R)
+    after = before.turned(R)
     e = rng.multivariate_normal(np.zeros(10), before.covariance, size=40_000)
     samples = (d + np.einsum("mij,kmj->kmi", tangent_basis(d), e.reshape(-1, 5, 2))) @ R.T
     errors = np.einsum("mij,kmi->kmj", tangent_basis(after.directions), samples - d @ R.T).reshape(-1, 10)
     sigma = np.sqrt(np.diag(after.covariance))
     scale = np.outer(sigma, sigma)
     np.testing.assert_allclose(np.cov(errors.T) / scale, after.covariance / scale, atol=0.03)
-    back = turned(after, R.T)
+    back = after.turned(R.T)
     np.testing.assert_allclose(back.covariance, before.covariance, atol=1e-16)
     np.testing.assert_allclose(back.directions, d, atol=1e-15)
     np.testing.assert_array_equal(back.sightings, before.sightings)

@@ -25,9 +25,9 @@ from spheremouse import commands as cli
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.demo import play as demo
+from spheremouse.files.ball_map import load_map, save_map, saved_now
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import log
 from spheremouse.output.counts import MotionSettings

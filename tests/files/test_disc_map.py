@@ -15,7 +15,7 @@ from spheremouse.ball.detect.projection import CANDIDATES, GREY, normalised
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.disc_map import (
+from spheremouse.files.ball_map import (
     SavedMap,
     age,
     check_fits,
@@ -198,10 +198,10 @@ def test_a_file_cut_off_anywhere_or_with_a_byte_changed_is_refused_or_still_a_ma
 
 def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
     saved = saved_map()
-    check_fits(saved, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path)  # calibrated anew
+    check_fits(saved, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path, "discs")  # calibrated anew
     with pytest.raises(
         ConfigurationError, match=re.escape("was made with a ball of radius 0.6 m, the rig has 0.03 m: name this")
     ):
-        check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path)
+        check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path, "discs")
     with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig has 0.01 m")):
-        check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path)
+        check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path, "discs")

@@ -10,7 +10,6 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
@@ -59,10 +58,6 @@ class FilterState(Protocol):
     @property
     def statistics(self) -> Mapping[str, float]:
         """Statistics of the last update that only this filter has."""
-        ...
-
-    def to_map(self, least: int) -> DiscMap | None:
-        """Return the discs with at least `least` sightings for a file; None with fewer than four, or without a map."""
         ...
 
     def increment_covariance(self, turn: Array) -> Array:

@@ -17,6 +17,7 @@ from spheremouse.native import kernels
 
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
+_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -328,7 +329,7 @@ def direction_jacobian(points: SpherePoints, radius: float) -> Array:
     return np.concatenate([points.dposition_dpose, by_ball], axis=2) / radius
 
 
-def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
+def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3State:
     """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
     m = len(known)
     joint = np.zeros((MAP_OFFSET + 2 * m + CLONE_DIM, MAP_OFFSET + 2 * m + CLONE_DIM))

@@ -2,12 +2,26 @@
 
 from dataclasses import replace
 
+from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.detect.projection import GREY
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider, without_candidates
+from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider, with_map, without_candidates
 from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
 from spheremouse.ball.phases.recover import check_bearings, recognise, recognise_older_map, recover
-from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
+from spheremouse.ball.state import (
+    SURE,
+    Colours,
+    Events,
+    Learning,
+    Lost,
+    Method,
+    Recognising,
+    Tracker,
+    Tracking,
+    TrackState,
+)
 from spheremouse.geometry.rotation import Array
 
 
@@ -46,10 +60,27 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     return replace(filtered, joint=joint)
 
 
+def _to_map(state: TrackState[So3State]) -> DiscMap | None:
+    """Return the map of discs to save; None with fewer than four certain ones."""
+    found = None if isinstance(state.phase, Recognising) else state.filter.to_map(SURE)
+    return None if found is None else replace(found, projection=state.colours.projection)
+
+
+def _recall(state: TrackState[So3State], known: BallMap) -> TrackState[So3State]:
+    """Return the state in which the discs of a saved map are recognised first."""
+    if not isinstance(known, DiscMap) or len(known) < 3:
+        return state
+    learnt = Colours(known.projection, refined=known.projection != GREY)
+    colours = state.colours if state.colours.fixed else learnt
+    return state._replace(phase=Recognising(), filter=with_map(state.filter, known), colours=colours)
+
+
 SO3 = Method(
     keeps_map=True,
     keeps_search=False,
     exact_centres=True,
+    to_map=_to_map,
+    recall=_recall,
     detect=detect_discs,
     next_phase=_next_phase,
     at_new_pose=at_new_pose,

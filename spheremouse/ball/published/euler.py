@@ -75,9 +75,6 @@ class EulerState:
         """Nothing: the publication has no test of the innovations."""
         return {}
 
-    def to_map(self, least: int) -> None:
-        """Return None: the filter deletes a disc that one frame does not show."""
-
     def clone_attitude(self) -> "EulerState":
         """Return the state with its current attitude as the reference of the next increment."""
         return replace(self, reference=self.covariance[:3, :3])

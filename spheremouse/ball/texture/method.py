@@ -45,8 +45,10 @@ from spheremouse.ball.texture.picture import (
     seen_again,
     texture_pixel,
     weigh,
+    without_past,
 )
-from spheremouse.ball.texture.search import Level, TextureDetector, TextureState, fits, near, search
+from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
+from spheremouse.ball.texture.search import PARTS, Level, TextureDetector, TextureState, fits, near, search
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
 from spheremouse.tracker import Frame, Status
@@ -92,23 +94,24 @@ def detect_texture(
     """Return the anchors in view as detections, and the state of the detector."""
     detector = tracker.detector
     assert isinstance(detector, TextureDetector)
-    before = state.search
-    begins = not isinstance(before, TextureState) or (state.status is Status.SEARCHING and before.alignment is None)
-    if begins or not _goes_on(detector, before):
+    before, recognises = state.search, isinstance(state.phase, Recognising)
+    if isinstance(before, PictureMap):
+        before = recalled(detector, frame, before)
+    if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
         found, shown = _detections(detector.fine, now.alignment, tracker)
         return found, now._replace(shown=shown)
     contrast, light = detector.contrast(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
     now = _with_contrast(detector, before, contrast, noise)._replace(turn=before.turn + 1)
-    lost = state.status is Status.LOST
+    lost = state.status is Status.LOST or recognises
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
     if lost and not (now.turned or turns):
         alignment = None  # a static scene would fit
     searched = alignment is None and now.turned
     if searched:
-        alignment = search(detector, now, expected, lost)
+        alignment = search(detector, now, None if recognises else expected, lost)
     if alignment is not None:
         now = _learnt(detector, now, alignment.attitude)
         if not searched:
@@ -122,9 +125,11 @@ def detect_texture(
     return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
 
 
-def _goes_on(detector: TextureDetector, before: TextureState) -> bool:
-    """Return whether the pictures serve a detector, which may be that of another pose of the camera."""
-    return before.view is detector.fine or (before.turned and before.fine.picture.value.shape[1] == detector.fine.cells)
+def _begins(state: TrackState[So3State], detector: TextureDetector, before: TextureState) -> bool:
+    """Return whether a picture begins with this frame. A known one also serves at another pose of the camera."""
+    if isinstance(state.phase, Learning) and not state.phase.found and before.alignment is None:
+        return True
+    return not (before.view is detector.fine or before.turned)
 
 
 def _with_contrast(
@@ -136,9 +141,8 @@ def _with_contrast(
         if before.view is detector.fine:
             seen = seen_again(view, level.seen, shown, noise)
         else:
-            seen = first_seen(view, shown)
-            seen = seen._replace(first=np.full_like(seen.first, np.nan))
-        levels.append(level._replace(seen=seen))
+            seen = without_past(first_seen(view, shown))
+        levels.append(Level(seen, resized(level.picture, view.cells)))
     return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1])
 
 
@@ -251,6 +255,8 @@ def _next_phase(
     now, before = state.search, state.phase
     assert isinstance(now, TextureState)
     if now.alignment is None:
+        if isinstance(before, Recognising):
+            return _not_recognised(state, before, stamp, tracker)
         if isinstance(before, Lost) and stamp - max(state.confirmed_at, now.plain_at) > _OTHER_BALL_S:
             anew = tracker.filter.initial(stamp, state.filter.attitude)
             return state._replace(phase=Learning(), filter=anew, search=SearchState(), confirmed_at=stamp), (NewMap(),)
@@ -260,10 +266,12 @@ def _next_phase(
         coasted = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
         return state._replace(filter=clear_matches(coasted)), ()
     match before:
-        case Lost(last=last):
+        case Lost() | Recognising():
             placed = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp)
-            filtered = _update(state, tracker, placed).clone_attitude()
-            return start_tracking(state, last, filtered, filtered.attitude, stamp), (Recognised(len(state.points)),)
+            filtered, saved = _update(state, tracker, placed).clone_attitude(), isinstance(before, Recognising)
+            phase = before.last if isinstance(before, Lost) else Tracking()
+            state = start_tracking(state, phase, filtered, filtered.attitude, stamp)
+            return state._replace(absolute=saved or state.absolute), (Recognised(len(state.points), saved=saved),)
         case Learning(found=True) if now.turned:
             masked = int(np.count_nonzero(now.fine.seen.odds < STATIC_ODDS))
             return _followed(state._replace(phase=Tracking()), stamp, tracker, predicted), (Turned(masked),)
@@ -274,9 +282,21 @@ def _next_phase(
         case Learning(found=False):
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
-        case Recognising():
-            raise AssertionError("no map of textures is saved yet")
     return _followed(state, stamp, tracker, predicted), ()
+
+
+def _not_recognised(
+    state: TrackState[So3State], phase: Recognising, stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state after a frame that does not fit a saved picture. In time the ball counts as another one."""
+    now: TextureState = state.search
+    before = phase.in_view_since
+    since = stamp if before is None or now.plain_at == stamp else min(before, stamp)
+    state = state._replace(confirmed_at=stamp)
+    if stamp - since <= _OTHER_BALL_S or now.turn < 2 * PARTS:
+        return state._replace(phase=Recognising(since)), ()
+    anew = tracker.filter.initial(stamp, state.filter.attitude)
+    return state._replace(phase=Learning(), filter=anew, search=SearchState()), (NewMap(saved=True),)
 
 
 def _followed(
@@ -306,6 +326,8 @@ TEXTURE = Method(
     keeps_map=True,
     keeps_search=True,
     exact_centres=False,
+    to_map=to_map,
+    recall=recall,
     detect=detect_texture,
     next_phase=_next_phase,
     at_new_pose=at_new_pose,

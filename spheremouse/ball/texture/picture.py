@@ -26,10 +26,11 @@ Floats = NDArray[np.float32]
 
 STATIC_ODDS = -3.0  # log odds below which a sample does not turn with the ball, as `picture.h` has it
 _NOISE = 0.01  # of a contrast, without image noise: shading
-_TILE = 8  # cells along the edge of a tile
-_HALF = 1.1  # half the width of a face, as `picture.h` has it
+TILE = 8  # cells along the edge of a tile
+LEAST_WEIGHT = 0.08  # of a known cell, as `picture.h` has it
+HALF = 1.1  # half the width of a face, as `picture.h` has it
 _CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
-_FINEST, _COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
+FINEST, COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
 _SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
 _ROUNDING = 0.4  # grey values, of mean and interpolation
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
@@ -111,9 +112,9 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: Floats) -> TextureV
     direction[~(chart.facing(direction) > _FACING) | (whole == 0.0)] = np.nan
     direction = np.ascontiguousarray(direction[::step, ::step], dtype=np.float32)
     nothing = np.where(np.isfinite(direction[..., 0]), 0.0, -np.inf).astype(np.float32)
-    cells = int(np.clip(_TILE * round(2.0 * _HALF / (chart.spacing * _TILE)), _COARSEST, _FINEST))
+    cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
     anchors = anchor_directions()
-    anchor_of = np.argmax(tile_directions(cells) @ anchors.T, axis=-1)
+    anchor_of = np.argmax(cell_directions(cells // TILE) @ anchors.T, axis=-1)
     return TextureView(
         rig, pose, chart, inside, share, (small, large), direction, nothing, step, cells, anchors, anchor_of
     )
@@ -121,7 +122,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: Floats) -> TextureV
 
 def texture_spacing(rig: Rig, pose: Pose) -> float:
     """Return the angle of the ball, rad, between two pixels of a chart that has the details of the picture."""
-    return max(_CELL_PX * texture_pixel(rig, pose), 2.0 * _HALF / _FINEST)
+    return max(_CELL_PX * texture_pixel(rig, pose), 2.0 * HALF / FINEST)
 
 
 def texture_pixel(rig: Rig, pose: Pose) -> float:
@@ -159,7 +160,7 @@ def _inverse(part: Image) -> Floats:
 def empty_picture(view: TextureView) -> Picture:
     """Return a picture of which nothing is known."""
     shape = (6, view.cells, view.cells)
-    tiles = view.cells // _TILE
+    tiles = view.cells // TILE
     return Picture(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((6, tiles, tiles), np.float32))
 
 
@@ -168,6 +169,11 @@ def first_seen(view: TextureView, contrast: Floats) -> Seen:
     mean = np.ascontiguousarray(contrast[:: view.step, :: view.step])
     zero = np.zeros(mean.shape, np.float32)
     return Seen(contrast, mean, zero, view.nothing, zero, mean, view.nothing, view.nothing)
+
+
+def without_past(seen: Seen) -> Seen:
+    """Return the samples of a view that is new, though the ball is known: none is in doubt for what it showed first."""
+    return seen._replace(first=np.full_like(seen.first, np.nan))
 
 
 def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) -> Seen:
@@ -273,12 +279,11 @@ def anchor_directions() -> Array:
     return np.array([*cube, *others]) / 3.0**0.5
 
 
-def tile_directions(cells: int) -> Array:
-    """Return the unit vectors in `ball` of the middles of the picture's tiles, (6, t, t, 3)."""
-    tiles = cells // _TILE
-    at = (2.0 * (np.arange(tiles) + 0.5) / tiles - 1.0) * _HALF
+def cell_directions(cells: int) -> Array:
+    """Return the unit vectors in `ball` of the middles of a picture's cells, or of its tiles, (6, n, n, 3)."""
+    at = (2.0 * (np.arange(cells) + 0.5) / cells - 1.0) * HALF
     a, b = np.meshgrid(at, at, indexing="ij")
-    found = np.empty((6, tiles, tiles, 3))
+    found = np.empty((6, cells, cells, 3))
     for face in range(6):
         axis = face // 2
         found[face, ..., axis] = -1.0 if face % 2 else 1.0

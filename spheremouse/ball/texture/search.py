@@ -4,8 +4,9 @@ The search begins near the predicted attitude. If the frame does not fit there, 
 may fit: near ones, those farther away, and for a lost ball all attitudes, a part of them in each frame.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,9 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp
 
 _COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
-_FITS = 0.35  # least correlation of frame and picture: with noise as strong as the pattern in both, it is a half
+LEAST_CORRELATION = (
+    0.35  # least correlation of frame and picture: with noise as strong as the pattern in both, it is a half
+)
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
 _DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
@@ -48,7 +51,7 @@ _AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick betw
 _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples
 _BEST = 4  # attitudes of a search from which an alignment starts
-_PARTS = 64  # frames that a search of all attitudes takes
+PARTS = 64  # frames that a search of all attitudes takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +136,15 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
     return (whole if found.used < _CHANGED * whole.used and fits(whole) else None), False
 
 
-def search(detector: TextureDetector, now: TextureState, attitude: Array, lost: bool) -> Alignment | None:
-    """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere."""
+def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
+    """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere.
+
+    For a ball that is `lost`, this includes a part of all attitudes. `attitude` is None if nothing is known of it.
+    """
     for start in _starts(detector, now, attitude, lost):
         rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
+        if not rough.correlation > LEAST_CORRELATION:
+            continue
         found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
         if fits(found) and found.correlation > _USUAL * now.usual:
             return found
@@ -146,20 +154,26 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array, lost: 
 def fits(alignment: Alignment) -> bool:
     """Return whether frame and picture show the same."""
     significance = np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / _DETAIL)
-    return alignment.converged and alignment.correlation > _FITS and bool(significance > _SIGNIFICANT)
+    return alignment.converged and alignment.correlation > LEAST_CORRELATION and bool(significance > _SIGNIFICANT)
 
 
-def _starts(detector: TextureDetector, now: TextureState, attitude: Array, lost: bool) -> Iterator[Array]:
+def _starts(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Iterator[Array]:
     """Yield attitudes from which an alignment may succeed: near one, farther away, and for a lost ball anywhere."""
-    yield attitude
-    for turns in (_GRIDS[0], _GRIDS[1], _anywhere(now.turn)) if lost else _GRIDS:
-        attitudes = turns @ attitude
-        if len(turns) > _FEW:  # a part of the samples leaves few to look at
-            rough = correlate(detector.coarse, now.coarse.seen, now.coarse.picture, attitudes, _GLANCE)
-            attitudes = attitudes[np.argpartition(-rough, len(rough) // 20)[: len(rough) // 20]]
-        correlation = correlate(detector.coarse, now.coarse.seen, now.coarse.picture, attitudes, _SEARCHED)
-        for k in np.argsort(-correlation)[:_BEST]:
-            yield attitudes[k]
+    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    if attitude is not None:
+        yield attitude
+        for turns in _GRIDS:
+            yield from best_attitudes(correlation, turns @ attitude)
+    if lost:
+        yield from best_attitudes(correlation, attitudes_of_part(now.turn))
+
+
+def best_attitudes(correlation: Callable[[Array, int], Array], attitudes: Array) -> Array:
+    """Return the attitudes, (k, 3, 3), with the largest correlation, by attitudes and a number of samples."""
+    if len(attitudes) > _FEW:  # a part of the samples leaves few to look at
+        rough = correlation(attitudes, _GLANCE)
+        attitudes = attitudes[np.argpartition(-rough, len(rough) // 20)[: len(rough) // 20]]
+    return attitudes[np.argsort(-correlation(attitudes, _SEARCHED))[:_BEST]]
 
 
 def _grid(least: float, most: float) -> Array:
@@ -170,14 +184,14 @@ def _grid(least: float, most: float) -> Array:
     return exp(v[(length > least) & (length <= most)].astype(np.float64))
 
 
-def _anywhere(turn: int) -> Array:
-    """Return a part of all rotations, (n, 3, 3): `_PARTS` frames in a row have them all.
+def attitudes_of_part(turn: int) -> Array:
+    """Return a part of all rotations, (n, 3, 3): `PARTS` frames in a row have them all.
 
     The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
     About each the ball turns by equal steps.
     """
     n, m = round(4.0 * np.pi / _STEP**2), round(2.0 * np.pi / _STEP)
-    k = np.arange(turn % _PARTS, n, _PARTS)
+    k = np.arange(turn % PARTS, n, PARTS)
     height, longitude = 1.0 - (2.0 * k + 1.0) / n, k * np.pi * (3.0 - 5.0**0.5)
     tilt = np.arccos(height)[:, None] * np.stack([-np.sin(longitude), np.cos(longitude), np.zeros(len(k))], axis=1)
     about = exp(np.arange(m)[:, None] * 2.0 * np.pi / m * np.array([0.0, 0.0, 1.0]))

@@ -7,7 +7,7 @@ import numpy as np
 
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device
-from spheremouse.ball.disc_map import DiscMap, turned
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import gather
 from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
@@ -156,7 +156,7 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
     scaled = _scaled(rolled, found, source, axes, radius)
     at_first = found.rotation @ rolled.rolling.attitude[0]
     seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
-    disc_map = turned(DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen), at_first)
+    disc_map = DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen).turned(at_first)
     readout, sigma = rolled.rolling.readout, rolled.readout_sigma
     known = sigma < _MAX_READOUT_SIGMA and readout > -2.0 * sigma
     rig = Rig(

@@ -60,9 +60,9 @@ def device(
     from spheremouse.calibrate.photos import check_size, provenance, read_photos
     from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
     from spheremouse.commands.config import root
+    from spheremouse.files.ball_map import map_path, save_map, saved_now
     from spheremouse.files.config import in_force
     from spheremouse.files.device import UNTOUCHED, load_device, untouched
-    from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import load_camera, save_rig
 
     page, the_map = report or out.with_suffix(".html"), map_path(out)

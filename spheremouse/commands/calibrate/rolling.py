@@ -71,8 +71,8 @@ def rolling(
     from spheremouse.calibrate.rolling.rig import AxesFrom, Lengths, build_rig, disc_angle
     from spheremouse.capture import full_spec, open_source
     from spheremouse.commands.terminal import progress_bar
+    from spheremouse.files.ball_map import map_path
     from spheremouse.files.device import load_device
-    from spheremouse.files.disc_map import map_path
     from spheremouse.files.rig import load_camera, load_rig
 
     ball, around, disc = (None if text is None else parse_length(text) for text in (radius, circumference, disc_radius))
@@ -186,7 +186,7 @@ def _save(
     out: Path, source: str, solution: "Solution", made: "RollingCalibration", files: Mapping[str, Path | None]
 ) -> None:
     """Write rig and map; `files` are those it was made from, by their part of the provenance."""
-    from spheremouse.files.disc_map import map_path, save_map, saved_now
+    from spheremouse.files.ball_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
 
     saved = saved_now(made.disc_map, made.rig)
@@ -208,7 +208,7 @@ def _print(source: str, solution: "Solution", figures: dict[str, Any], out: Path
     """Print the report and the next command, on standard error if `err`."""
     from spheremouse.calibrate.guide.folder import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_text
-    from spheremouse.files.disc_map import map_path
+    from spheremouse.files.ball_map import map_path
     from spheremouse.session.cameras import is_camera
 
     typer.echo(rolling_text(figures), err=err)

@@ -147,7 +147,7 @@ class _Run:
             self.findings.append(unchecked("rig", text))
         elif rig is not None or not broken:
             self.findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, brought)
-        self.findings += _guarded("map", files.map_of, plan.map_path, rig)
+        self.findings += _guarded("map", files.map_of, plan.map_path, rig, plan.configuration)
         return lambda footage: self._picture(footage, rig)
 
     def _picture(self, footage: cameras.Footage, rig: Rig | None) -> Iterator[Finding]:

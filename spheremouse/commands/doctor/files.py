@@ -6,12 +6,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.capture import full_spec
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
-from spheremouse.files.disc_map import age, check_fits, load_map, map_path
+from spheremouse.files.ball_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
 from spheremouse.finding import Finding, Verdict, classify, ok, refusals, unchecked, warning, wrong
 from spheremouse.geometry.camera import InteriorOrientation
@@ -75,8 +77,10 @@ def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig
 def _as_the_service(plan: RunConfig, overrides: CommandLineOverrides) -> RunConfig:
     """Return the plan with the service's own map folder: the service may not write beside the rig."""
     state = service_state(overrides)
-    usual_map = None if plan.rig_path is None else map_path(plan.rig_path)
-    if state is None or usual_map is None or plan.map_path != usual_map:
+    if state is None or plan.rig_path is None or plan.rig is None:
+        return plan
+    usual_map = map_path(plan.rig_path, map_kind(plan.rig, plan.configuration))
+    if plan.map_path != usual_map:
         return plan
     return replace(plan, map_path=state / usual_map.name)
 
@@ -121,8 +125,8 @@ def size(camera: InteriorOrientation, width: int, height: int) -> Finding:
     return ok("size", f"{width}x{height}, as calibrated", **values)
 
 
-def map_of(path: Path | None, rig: Rig | None) -> Finding:
-    """Report the map of the discs, which the tracker learns while the ball turns."""
+def map_of(path: Path | None, rig: Rig | None, settings: Settings) -> Finding:
+    """Report the map of the ball, which the tracker learns while the ball turns."""
     if path is None:
         none = "none is kept for this source"
         return ok("map", none if rig is not None else "none yet: it is learnt once there is a rig file")
@@ -131,10 +135,10 @@ def map_of(path: Path | None, rig: Rig | None) -> Finding:
     try:
         saved = load_map(path)
         if rig is not None:
-            check_fits(saved, rig, path)
+            check_fits(saved, rig, path, map_kind(rig, settings))
     except ConfigurationError as e:
         return warning("map", *str(e).partition("; ")[::2])
-    return ok("map", f"{path}: {len(saved.map)} discs, saved {age(saved)}", discs=len(saved.map))
+    return ok("map", f"{path}: {saved.map.text}, saved {age(saved)}", known=round(saved.map.amount))
 
 
 def _made(path: Path) -> tuple[datetime, str]:

@@ -32,7 +32,7 @@ class Options:
     rig_file: RigFile = None
     camera_file: CameraFile = None
     map_file: Annotated[
-        Path | None, typer.Option("--map", metavar="FILE", help="Begin with a saved map of discs; it is not changed.")
+        Path | None, typer.Option("--map", metavar="FILE", help="Begin with a saved map; it is not changed.")
     ] = None
     json_file: JsonFile = None
     plot_file: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw one dataset's run.")] = None

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
-from spheremouse.ball.build import detector_of, follows_pattern
-from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.build import detector_of, map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.capture import section
@@ -33,7 +33,7 @@ _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked
 class _Track(NamedTuple):
     recording: Recording
     rig: Rig
-    known: DiscMap | None
+    known: BallMap | None
 
 
 def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
@@ -96,9 +96,7 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
             if recording.pose is None:
                 raise DatasetError(f"{path}: scene.json has no truth_T_obj_cam, which --pose known takes")
             rig = replace(rig, pose=recording.pose)
-        if options.map_file is not None and follows_pattern(rig, settings):
-            raise ConfigurationError(f"{path}: no map is kept of a ball's pattern", "leave --map out")
-        known = None if options.map_file is None else open_map(options.map_file, rig).map
+        known = None if options.map_file is None else open_map(options.map_file, rig, map_kind(rig, settings)).map
         yield _Track(recording, rig, known)
 
 

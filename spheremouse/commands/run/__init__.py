@@ -53,8 +53,8 @@ def run(
         typer.Option(
             "--map",
             metavar="FILE",
-            help="File of the map of the discs, kept from run to run. [default: beside the rig file, rig.map.yaml "
-            "for rig.yaml; none for sources that bring their own rig]",
+            help="File of the map of the ball, kept from run to run. [default: beside the rig file, rig.map.yaml "
+            "or rig.pattern.yaml for rig.yaml; none for sources that bring their own rig]",
         ),
     ] = None,
     no_map: Annotated[bool, typer.Option("--no-map", help="Begin without a saved map, and save none.")] = False,

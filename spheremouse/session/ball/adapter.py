@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build, check_discs, follows_pattern
+from spheremouse.ball.build import begin, build, check_discs, follows_pattern, map_kind
 from spheremouse.ball.camera_moved import shows_targets
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
@@ -26,7 +26,7 @@ from spheremouse.output import Counts
 from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
-from spheremouse.session.ball.map_keeper import MapKeeper
+from spheremouse.session.ball.map_keeper import MapKeeper, Newest
 from spheremouse.session.ball.recorded import ball_subject, kept, sought
 from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSearch
 from spheremouse.session.control.protocol import internal_error
@@ -76,7 +76,7 @@ class BallAdapter(TrackerAdapter):
     ) -> None:
         """Create the adapter, which tracks at once if the rig has the camera's pose.
 
-        `keeper` saves the map of the discs; None saves none. `log` prints a line. `do` has another thread do work.
+        `keeper` saves the map of the ball; None saves none. `log` prints a line. `do` has another thread do work.
         `given` is the rig of the source, if it has one. Raises PoseError if the rig has neither the camera's pose nor
         three targets, or if the ball is not in view, and ConfigurationError if the ball has no discs.
         """
@@ -199,7 +199,7 @@ class BallAdapter(TrackerAdapter):
         if "rig" in changed:
             BallAdapter(rig, settings, None, _discard)
         if mapped and plan.map_path is not None:
-            MapKeeper(plan.map_path, rig, _discard)
+            MapKeeper(plan.map_path, rig, map_kind(rig, settings), _discard)
         state, tracker = self.state, self._tracker
         tuned = "tracker" in changed and "rig" not in changed
         if tuned and tracker is not None and state is not None:
@@ -311,7 +311,8 @@ class BallAdapter(TrackerAdapter):
         if plan.map_path is None:
             return None
         try:
-            return MapKeeper(plan.map_path, rig, self._log, elsewhere=partial(self._do, MAP))
+            kind = map_kind(rig, plan.configuration)
+            return MapKeeper(plan.map_path, rig, kind, self._log, elsewhere=partial(self._do, MAP))
         except SpheremouseError as e:
             self._log(f"map: {e}; going on without")
             return None
@@ -421,7 +422,7 @@ class BallAdapter(TrackerAdapter):
         if pose is not self.pose:
             self.pose, self._posed = pose, time.monotonic()
         if self._keeper is not None:
-            self._keeper.keep(made.state)
+            self._keeper.keep(Newest(partial(tracker.method.to_map, made.state), made.state.absolute))
 
 
 def _discard(_: str) -> None:

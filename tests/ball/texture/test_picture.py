@@ -9,14 +9,15 @@ import pytest
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.texture.picture import (
+    TILE,
     align,
     anchor_directions,
+    cell_directions,
     correlate,
     empty_picture,
     first_seen,
     learn,
     seen_again,
-    tile_directions,
     weigh,
     with_doubtful,
 )
@@ -89,7 +90,7 @@ def test_anchors_are_spread_evenly_and_each_tile_belongs_to_the_nearest(view):
     assert anchors.shape == (20, 3)
     assert angle.min() > 41.0
     assert angle.max() < 42.0
-    nearest = np.argmax(tile_directions(view.cells).reshape(-1, 3) @ anchors.T, axis=1)
+    nearest = np.argmax(cell_directions(view.cells // TILE).reshape(-1, 3) @ anchors.T, axis=1)
     assert np.array_equal(view.anchor_of.ravel(), nearest)
 
 

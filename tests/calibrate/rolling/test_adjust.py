@@ -22,9 +22,9 @@ from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream, section
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
+from spheremouse.files.ball_map import load_map
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis

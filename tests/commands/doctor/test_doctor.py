@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import NEGATIVE
+from spheremouse.ball.settings import Settings
 from spheremouse.commands import findings as report
 from spheremouse.commands.doctor import camera, computer, files, running
 from spheremouse.commands.doctor import doctor as command
@@ -430,9 +431,9 @@ def test_the_rig_and_its_age(tmp_path, far26):
     assert "set this computer's clock" in files.rig_file(path, load_rig(path), None).advice
     assert files.rig_file(None, None, None).verdict is UNCHECKED
     map_file = tmp_path / "rig.map.yaml"
-    assert files.map_of(map_file, rig).verdict is OK  # made as the ball turns
+    assert files.map_of(map_file, rig, Settings()).verdict is OK  # made as the ball turns
     map_file.write_text("schema: 1\nnonsense: 2\n")
-    assert files.map_of(map_file, rig).verdict is WARNING
+    assert files.map_of(map_file, rig, Settings()).verdict is WARNING
 
 
 def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(tmp_path):

@@ -39,8 +39,8 @@ from spheremouse.evaluation.metrics import (
 )
 from spheremouse.evaluation.run import Reference, Run
 from spheremouse.evaluation.table import consistency, path_notes
+from spheremouse.files.ball_map import save_map, saved_now
 from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import rotation_between, tangent_basis
 from spheremouse.output.counts import MotionSettings

@@ -4,20 +4,19 @@ import os
 import threading
 import time
 from contextlib import closing
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from conftest import directions
 from scipy.spatial.transform import Rotation
 
-from spheremouse.ball.disc_map import DiscMap, turned
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.disc_map import load_map, save_map, saved_now
+from spheremouse.files.ball_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball import map_keeper as session_map
-from spheremouse.session.ball.map_keeper import MapKeeper, changed, succession
+from spheremouse.session.ball.map_keeper import MapKeeper, Newest, succession
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
@@ -29,23 +28,19 @@ def known(d, sigma=1e-3):
     return DiscMap(d, sigma**2 * np.eye(2 * len(d)), np.full(len(d), 50, dtype=np.intp))
 
 
-@dataclass
-class State:
-    """What the keeper asks of a track state; `disc_map` gives `found`."""
-
-    found: DiscMap | None
-    absolute: bool = False
+def a_frame(found, absolute=False):
+    """What the keeper takes of a frame."""
+    return Newest(lambda: found, absolute)
 
 
 @pytest.fixture
-def path(tmp_path, monkeypatch):
-    monkeypatch.setattr(session_map, "disc_map", lambda state: state.found)
+def path(tmp_path):
     return tmp_path / "rig.map.yaml"
 
 
 def run(path, *states, every=1e9):
     said = []
-    with closing(MapKeeper(path, RIG, said.append, every)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, every)) as keeper:
         for state in states:
             keeper.keep(state)
     assert all(line.startswith("map: ") for line in said)
@@ -60,9 +55,9 @@ def in_file(path):
 
 
 def test_a_first_run_saves_and_the_next_begins_with_it(path):
-    assert run(path, State(None), State(known(BALL[:20]))) == ["20 discs saved"]
+    assert run(path, a_frame(None), a_frame(known(BALL[:20]))) == ["20 discs saved"]
     np.testing.assert_allclose(in_file(path), BALL[:20], atol=1e-8)
-    with closing(MapKeeper(path, RIG, lambda _: None)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, lambda _: None)) as keeper:
         assert keeper.known is not None
         np.testing.assert_array_equal(keeper.known.directions, in_file(path))
         assert keeper.known.sightings.tolist() == [50] * 20
@@ -71,7 +66,7 @@ def test_a_first_run_saves_and_the_next_begins_with_it(path):
 def test_a_map_that_follows_its_ball_is_said_in_numbers(path):
     save_map(path, saved_now(known(BALL[:25]), RIG))
     moved = np.delete(BALL, [3, 7], axis=0)
-    assert run(path, State(known(moved), absolute=True)) == [
+    assert run(path, a_frame(known(moved), absolute=True)) == [
         "25 discs, saved just now",
         "24 discs saved: 23 discs stayed, 2 gone, 1 new",
     ]
@@ -80,13 +75,13 @@ def test_a_map_that_follows_its_ball_is_said_in_numbers(path):
 
 
 def test_nothing_known_is_nothing_saved(path):
-    assert run(path, State(None)) == ["nothing saved: too few discs are known for good"]
+    assert run(path, a_frame(None)) == ["nothing saved: too little of the ball is known for good"]
     assert run(path) == []  # no frame came
-    assert run(path, State(known(BALL, np.nan)))[-1].startswith("nothing saved")
+    assert run(path, a_frame(known(BALL, np.nan)))[-1].startswith("nothing saved")
     assert os.listdir(path.parent) == []
     save_map(path, saved_now(known(BALL), RIG))
     before = path.read_bytes()
-    assert run(path, State(None)) == ["26 discs, saved just now"]
+    assert run(path, a_frame(None)) == ["26 discs, saved just now"]
     assert path.read_bytes() == before
 
 
@@ -97,7 +92,7 @@ def test_another_balls_map_takes_its_place_and_the_old_one_is_kept(path):
     save_map(path, saved_now(known(BALL), RIG))
     before = path.read_bytes()
     old = path.with_name("rig.map.old.yaml")
-    assert run(path, State(known(OTHER_BALL)))[1:] == [
+    assert run(path, a_frame(known(OTHER_BALL)))[1:] == [
         "another ball, or its discs were moved: a new map of 24 discs saved; the map before is kept in " + str(old)
     ]
     assert old.read_bytes() == before
@@ -107,7 +102,7 @@ def test_another_balls_map_takes_its_place_and_the_old_one_is_kept(path):
 def test_the_same_ball_in_another_frame_is_brought_into_the_frame_it_had(path):
     save_map(path, saved_now(known(BALL), RIG))
     old = path.with_name("rig.map.old.yaml")
-    said = run(path, State(known(BALL[1:] @ R.T)))
+    said = run(path, a_frame(known(BALL[1:] @ R.T)))
     assert said[1:] == [
         "the same ball with a new map, turned into its earlier axes, 25 discs stayed, 1 gone; "
         f"the map before is kept in {old}"
@@ -119,7 +114,7 @@ def test_the_same_ball_in_another_frame_is_brought_into_the_frame_it_had(path):
 def test_no_map_is_overwritten_because_the_tracker_says_so(path):
     """It calls an attitude absolute whose map has nothing in common with the one in the file."""
     save_map(path, saved_now(known(BALL), RIG))
-    (text,) = run(path, State(known(OTHER_BALL), absolute=True))[1:]
+    (text,) = run(path, a_frame(known(OTHER_BALL), absolute=True))[1:]
     assert text.startswith("another ball, or its discs were moved")
     np.testing.assert_allclose(in_file(path.with_name("rig.map.old.yaml")), BALL, atol=1e-8)
 
@@ -127,16 +122,16 @@ def test_no_map_is_overwritten_because_the_tracker_says_so(path):
 def test_a_map_that_the_run_grew_from_it_may_lose_most_of_its_discs(path):
     """They are gone: the tracker has looked for them."""
     save_map(path, saved_now(known(BALL), RIG))
-    assert run(path, State(known(BALL[:9]), absolute=True))[1:] == ["9 discs saved: 9 discs stayed, 17 gone"]
+    assert run(path, a_frame(known(BALL[:9]), absolute=True))[1:] == ["9 discs saved: 9 discs stayed, 17 gone"]
     assert len(in_file(path)) == 9
 
 
 def test_a_file_that_was_moved_away_meanwhile_is_not_missed(path):
     save_map(path, saved_now(known(BALL), RIG))
     said = []
-    with closing(MapKeeper(path, RIG, said.append)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append)) as keeper:
         path.unlink()
-        keeper.keep(State(known(OTHER_BALL)))
+        keeper.keep(a_frame(known(OTHER_BALL)))
     assert said[-1].endswith("a new map of 24 discs saved")
     assert os.listdir(path.parent) == ["rig.map.yaml"]
 
@@ -145,7 +140,7 @@ def test_a_file_that_was_moved_away_meanwhile_is_not_missed(path):
 def test_a_poor_map_never_replaces_a_good_one_that_it_did_not_grow_from(path, few):
     save_map(path, saved_now(known(BALL), RIG))
     before = path.read_bytes()
-    (text,) = run(path, State(known(few)), every=0.0)[1:]
+    (text,) = run(path, a_frame(known(few)), every=0.0)[1:]
     assert text == f"stays unchanged, with 26 discs; this run did not recognise it, and knew {len(few)} discs"
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == ["rig.map.yaml"]
@@ -153,7 +148,7 @@ def test_a_poor_map_never_replaces_a_good_one_that_it_did_not_grow_from(path, fe
 
 def test_a_run_that_begins_its_map_anew_half_way_keeps_the_frame_of_its_first_half(path):
     """Without a map at the start: 26 discs, lost, and a new map in another frame that grows."""
-    states = [State(known(BALL)), State(known(BALL[:8] @ R.T)), State(known(BALL @ R.T))]
+    states = [a_frame(known(BALL)), a_frame(known(BALL[:8] @ R.T)), a_frame(known(BALL @ R.T))]
     said = run(path, *states, every=0.0)
     np.testing.assert_allclose(in_file(path), BALL, atol=1e-6)
     assert said[-1].startswith("the same ball with a new map, turned into its earlier axes, 26 discs stayed; ")
@@ -161,7 +156,7 @@ def test_a_run_that_begins_its_map_anew_half_way_keeps_the_frame_of_its_first_ha
 
 def test_a_new_balls_map_grows_in_its_own_frame_and_the_old_map_is_set_aside_once(path):
     save_map(path, saved_now(known(BALL), RIG))
-    states = [State(known(OTHER_BALL[:n])) for n in (5, 14, 20, 24)]
+    states = [a_frame(known(OTHER_BALL[:n])) for n in (5, 14, 20, 24)]
     said = run(path, *states, every=0.0)
     assert [line for line in said if "another ball" in line] == [said[1]]
     assert said[-1] == "24 discs saved: 14 discs stayed, 10 new"
@@ -173,7 +168,7 @@ def test_succession_states_the_rotation_that_it_used():
     now = known(BALL @ R.T)
     next_ = succession(known(BALL), now, absolute=False)
     assert next_.map is not None
-    np.testing.assert_allclose(turned(now, next_.rotation).directions, next_.map.directions, atol=1e-15)
+    np.testing.assert_allclose(now.turned(next_.rotation).directions, next_.map.directions, atol=1e-15)
     np.testing.assert_allclose(next_.rotation, R.T, atol=1e-9)
 
 
@@ -182,31 +177,30 @@ def test_succession_states_the_rotation_that_it_used():
 
 def test_worth_saving_is_another_disc_or_one_known_twice_as_well():
     a = known(BALL)
-    assert changed(None, a)
-    assert not changed(a, known(BALL, 0.6e-3))
-    assert changed(a, known(BALL, 0.4e-3))
-    assert changed(a, known(BALL[1:]))
-    assert changed(known(BALL[1:]), a)
+    assert not known(BALL, 0.6e-3).improves(a)
+    assert known(BALL, 0.4e-3).improves(a)
+    assert known(BALL[1:]).improves(a)
+    assert a.improves(known(BALL[1:]))
     swapped = BALL.copy()
     swapped[4] = -swapped[4]
-    assert changed(a, known(swapped))
+    assert known(swapped).improves(a)
 
 
 def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_changed(path):
     said = []
-    with closing(MapKeeper(path, RIG, said.append, every=0.0)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, every=0.0)) as keeper:
         keep = keeper.keep
-        keep(State(None))
+        keep(a_frame(None))
         assert not path.exists()
-        keep(State(known(BALL[:10])))
+        keep(a_frame(known(BALL[:10])))
         first = path.stat().st_ino  # a file is replaced, never written over
-        keep(State(known(BALL[:10], 0.9e-3)))
+        keep(a_frame(known(BALL[:10], 0.9e-3)))
         assert path.stat().st_ino == first
-        keep(State(known(BALL[:11])))
+        keep(a_frame(known(BALL[:11])))
         assert len(in_file(path)) == 11
     assert said == [f"map: {path}: 11 discs saved"]
-    with closing(MapKeeper(path, RIG, said.append, every=1e9)) as keeper:
-        keeper.keep(State(known(BALL), absolute=True))
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, every=1e9)) as keeper:
+        keeper.keep(a_frame(known(BALL), absolute=True))
         assert len(in_file(path)) == 11  # not yet
     assert len(in_file(path)) == 26
 
@@ -225,9 +219,9 @@ def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
         threading.Thread(target=work).start()
 
     monkeypatch.setattr(session_map, "save_map", hang)
-    with closing(MapKeeper(path, RIG, lambda _: None, every=0.0, elsewhere=elsewhere)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, lambda _: None, every=0.0, elsewhere=elsewhere)) as keeper:
         for n in range(5, 26):
-            keeper.keep(State(known(BALL[:n])))
+            keeper.keep(a_frame(known(BALL[:n])))
         assert len(slow) == 1
         assert not path.exists()
     assert len(slow) == 2
@@ -242,7 +236,7 @@ def test_a_disk_that_is_full_is_told_and_the_run_goes_on(path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    said = run(path, *(State(known(BALL[:n])) for n in (10, 12, 14)), every=0.0)
+    said = run(path, *(a_frame(known(BALL[:n])) for n in (10, 12, 14)), every=0.0)
     assert said == [f"not saved: {path}: cannot be written: No space left on device"]
     assert os.listdir(path.parent) == []
 
@@ -251,7 +245,7 @@ def test_a_folder_that_cannot_be_written_is_told_at_the_start(path, monkeypatch)
     save_map(path, saved_now(known(BALL), RIG))
     monkeypatch.setattr(session_map.os, "access", lambda *_: False)
     before = path.read_bytes()
-    said = run(path, State(known(BALL[1:]), absolute=True), every=0.0)
+    said = run(path, a_frame(known(BALL[1:]), absolute=True), every=0.0)
     assert said == [
         "26 discs, saved just now",
         f"map: {path.parent}: not writable: the daemon cannot save this run's map",
@@ -263,11 +257,11 @@ def test_what_cannot_be_used_is_refused_at_the_start(path, tmp_path):
     with pytest.raises(
         ConfigurationError, match="no such folder; name a place for the map with --map, or give --no-map"
     ):
-        MapKeeper(tmp_path / "nowhere" / "m.yaml", RIG, print)
+        MapKeeper(tmp_path / "nowhere" / "m.yaml", RIG, DiscMap.kind, print)
     path.write_text("schema: 1\n")
     with pytest.raises(ConfigurationError, match="move the file away: a new map is made as the ball turns"):
-        MapKeeper(path, RIG, print)
+        MapKeeper(path, RIG, DiscMap.kind, print)
     save_map(path, saved_now(known(BALL), RIG))
     other = Rig(CAMERA, Ball(0.03), RIG.targets, 0.002)
     with pytest.raises(ConfigurationError, match=r"was made with a ball of radius 0\.6 m"):
-        MapKeeper(path, other, print)
+        MapKeeper(path, other, DiscMap.kind, print)

@@ -1,19 +1,24 @@
 """A ball that is followed by its pattern: no command speaks of discs that it lacks, or needs their radius."""
 
+import json
 import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from conftest import directions
 from invoking import invoke
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_mask, clear_mask
 from spheremouse.ball.detect.diagnosis import Cause, why_no_pattern
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.settings import Settings, So3Settings
 from spheremouse.ball.track import step, with_settings
 from spheremouse.commands import app
+from spheremouse.files.ball_map import save_map, saved_now
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.recorded import kept
 from spheremouse.session.settings import Configuration
@@ -119,7 +124,6 @@ def test_another_setting_of_the_filter_keeps_the_picture_and_another_detector_be
     ("words", "says"),
     [
         (("tune",), "tune searches settings of discs, and this ball is followed by its pattern"),
-        (("evaluate", "--map", "a.yaml"), "no map is kept of a ball's pattern; leave --map out"),
         (("evaluate", "--tracker", "ekf2"), "the tracker ekf2 follows discs, and this ball has none"),
         (("evaluate", "--tracker", "ekf2", "--detector", "texture"), "texture needs the tracker so3"),
     ],
@@ -130,11 +134,26 @@ def test_commands_refuse_what_needs_discs_in_one_line(recording, words, says):
     assert says in " ".join(output.split())
 
 
-def test_a_run_refuses_a_map(recording, tmp_path):
-    words = ("--source", f"dataset:{recording}", "--output", "null", "--map", tmp_path / "a.yaml")
-    code, output = invoke(app, "run", *words)
+def test_a_run_saves_its_picture_and_the_next_one_recognises_it(recording, tmp_path):
+    file = tmp_path / "a.yaml"
+    words = ("run", "--source", f"dataset:{recording}", "--output", "null", "--map", file)
+    first, again = (" ".join(invoke(app, *words)[1].split()) for _ in range(2))
+    assert re.search(r"a.yaml: \d+ % of the pattern saved", first)
+    assert re.search(r"a.yaml: \d+ % of the pattern, saved just now", again)
+    assert re.search(r"recognised by \d+ parts of the pattern of the saved map", again)
+    assert "the patterns' correlation is 1.00" in again
+    assert f"{file}: " in invoke(app, "map", "show", file)[1]
+    found = invoke(app, "evaluate", recording, "--map", file, "--json", tmp_path / "r.json")
+    assert found[0] == 0
+    assert json.loads((tmp_path / "r.json").read_text())["identified_from_frame"] < 3
+
+
+def test_the_map_of_another_kind_is_refused_in_one_line(recording, tmp_path):
+    discs = DiscMap(directions(9, 1), 1e-6 * np.eye(18), np.full(9, 50, dtype=np.intp))
+    save_map(tmp_path / "a.yaml", saved_now(discs, replace(open_dataset(recording).rig, disc_radius=0.02)))
+    code, output = invoke(app, "evaluate", recording, "--map", tmp_path / "a.yaml")
     assert code != 0
-    assert "none is kept of a ball's pattern; leave the map out" in " ".join(output.split())
+    assert "is a map of discs, and the tracker follows a pattern: name this device's map" in " ".join(output.split())
 
 
 def test_rolling_needs_discs_or_their_radius(recording, tmp_path):

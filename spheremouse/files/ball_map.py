@@ -1,0 +1,111 @@
+"""Write and read the map of a ball, a file beside the rig that makes the next run's attitude absolute.
+
+It holds the discs (`disc_map`) or a picture of the pattern (`picture_map`). The reader rejects a damaged file.
+"""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from spheremouse import __version__
+from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.texture.picture_map import PictureMap
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import disc_map, picture_map
+from spheremouse.files.map_header import header_lines
+from spheremouse.files.safe_files import write_atomically
+from spheremouse.files.yaml import parse_bytes, read_raw
+
+BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
+_MAX_BYTES = 8_000_000  # a picture of noise has 3 MB
+
+
+@dataclass(frozen=True, slots=True)
+class SavedMap:
+    """A map, the sizes of its device, and its age."""
+
+    map: BallMap
+    ball_radius: float  # m
+    disc_radius: float | None  # m, along the surface; None: of a pattern
+    saved: datetime  # with its time zone
+    version: str  # of the program that wrote it
+
+
+def map_path(rig_file: Path, kind: str = DiscMap.kind) -> Path:
+    """Return the path of a device's map beside `rig.yaml`: `rig.map.yaml` of discs, `rig.pattern.yaml` of a pattern."""
+    return rig_file.with_suffix(".map.yaml" if kind == DiscMap.kind else ".pattern.yaml")
+
+
+def old_path(path: Path) -> Path:
+    """Return the path for a map that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
+    return path.with_suffix(f".old{path.suffix}")
+
+
+def saved_now(ball_map: BallMap, rig: Rig) -> SavedMap:
+    """Return a map to save, with the sizes of this device, the time and our version."""
+    now = datetime.now(UTC).replace(microsecond=0)
+    disc_radius = rig.disc_radius if ball_map.kind == DiscMap.kind else None
+    return SavedMap(ball_map, rig.ball.radius, disc_radius, now, __version__)
+
+
+def save_map(path: Path, saved: SavedMap) -> None:
+    """Write a map file, whole or not at all; it reads back to the same map."""
+    write_atomically(path, map_text(saved))
+
+
+def load_map(path: Path) -> SavedMap:
+    """Read a map file; ConfigurationError with problem and remedy."""
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file; check the path")
+    try:
+        text, picture = picture_map.split(read_raw(path, _MAX_BYTES))
+        document = parse_bytes(text, str(path))
+        file, found = disc_map.parsed(document) if picture is None else picture_map.parsed(document, picture)
+    except ConfigurationError as e:
+        first, *others = str(e).splitlines()
+        more = f" (and {len(others)} more)" if others else ""
+        raise ConfigurationError(
+            f"{first}{more}; mend that, or move the file away: a new map is made as the ball turns"
+        ) from None
+    disc_radius = getattr(file, "disc_radius", None)
+    return SavedMap(found, file.ball_radius, disc_radius, datetime.fromisoformat(file.saved), file.spheremouse)
+
+
+def map_text(saved: SavedMap) -> str:
+    """Return the text of a map file."""
+    header = header_lines(saved.version, saved.saved, saved.ball_radius)
+    made: Any = saved.map
+    lines = _LINES[saved.map.kind](header, made, saved.disc_radius)
+    return "\n".join(lines) + "\n"
+
+
+_LINES = {DiscMap.kind: disc_map.lines, PictureMap.kind: picture_map.lines}
+
+
+def check_fits(saved: SavedMap, rig: Rig, path: Path, kind: str) -> None:
+    """Raise ConfigurationError if a map shows another `kind` of thing, or has other sizes than those of the rig."""
+    remedy = (
+        "name this device's map with --map, or move the file away, and the tracker creates a new one as the ball turns"
+    )
+    if saved.map.kind != kind:
+        raise ConfigurationError(f"{path}: is a map of {saved.map.kind}, and the tracker follows {kind}: {remedy}")
+    for what, there, here, most in (
+        ("a ball", saved.ball_radius, rig.ball.radius, BALL_DIFFERS),
+        ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
+    ):
+        if there is not None and here is not None and abs(there - here) > most * here:
+            raise ConfigurationError(
+                f"{path}: was made with {what} of radius {there:g} m, the rig has {here:g} m: {remedy}"
+            )
+
+
+def age(saved: SavedMap) -> str:
+    """Return the time since a map was saved, in words."""
+    seconds = (datetime.now(UTC) - saved.saved).total_seconds()
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {unit} ago"
+    return "just now"
