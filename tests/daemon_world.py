@@ -33,7 +33,7 @@ from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer
-from spheremouse.simulate.ball.scene import default_scene
+from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0  # s between two stamps
@@ -63,7 +63,11 @@ class Film:
 
     @classmethod
     @cache  # two seconds
-    def render(cls, length: int = 48) -> "Film":
+    def render(cls) -> "Film":
+        return cls.of(default_scene())
+
+    @classmethod
+    def of(cls, scene: Scene, length: int = 48) -> "Film":
         seconds = length * DT
         s = seconds / 5.0
         gestures = (
@@ -71,7 +75,7 @@ class Film:
             Gesture(1.5 * s, 2.2 * s, (0.0, 1.0, 0.0), -1.3 * s),
             Gesture(2.8 * s, 2.2 * s, (0.9746794344808964, 0.0, -0.22360679774997896), 1.8 * s),
         )
-        profile, scene, rng = Gestures(gestures, seconds), default_scene(), np.random.default_rng(0)
+        profile, rng = Gestures(gestures, seconds), np.random.default_rng(0)
         renderer = Renderer(scene)
         made = [renderer.frame(profile, seconds * k / (length - 1), k, rng) for k in range(length)]
         colour = [m.frame.image for m in made]
@@ -194,12 +198,13 @@ class World:
             self.out += 1
         return RawFrame(self, self.stamp, self.sequence, self.place, self.fault)
 
-    def image(self, place: int, colour: bool, fault: str) -> NDArray[np.uint8]:
-        image = (self.film.colour if colour else self.film.grey)[place]
+    def image(self, place: int, colour: bool, fault: str, film: Film | None = None) -> NDArray[np.uint8]:
+        film = film or self.film
+        image = (film.colour if colour else film.grey)[place]
         if fault == "dark":
             return np.zeros_like(image)
         if fault == "hidden" and colour:
-            return np.asarray(cv2.cvtColor(self.film.grey[place], cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+            return np.asarray(cv2.cvtColor(film.grey[place], cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         return image
 
     def given_back(self) -> None:

@@ -1,6 +1,6 @@
 """Measure what a live page costs the tracker: `python -m tests.live_cost [--rounds N] [--seconds S] [KIND ...]`.
 
-A daemon tracks a simulated ball, 640x480 in colour at 60 Hz, in a process of its own. Between two periods without a
+A daemon of its own tracks a simulated ball, 640x480 in colour, at 60 Hz or `--fps`. Between two periods without a
 client, a client disturbs it in one of the ways of `KINDS`. The table has the daemon's latency from a frame's arrival to
 its report at the output, 99 % of a period, and the ratio to that of the periods before and after, since other programs
 disturb, too. It also has the growth of memory (resident, without pages of files), and the frames skipped.
@@ -35,6 +35,7 @@ from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
+from spheremouse.simulate.ball.scene import default_scene
 from tests.daemon_process import Camera
 from tests.daemon_world import Film
 
@@ -60,14 +61,15 @@ class Sink(Output):
         self.times.append((now, now - report.stamp))
 
 
-def serve(folder: Path, camera_type: type[Camera] = Camera) -> None:
-    """Run the daemon until a client stops it; then write the times."""
-    film, sink = Film.render(), Sink()
+def serve(folder: Path, camera_type: type[Camera] = Camera, fps: float = FPS) -> None:
+    """Run the daemon until a client stops it; then write the times. The ball turns as fast at any rate."""
+    film = Film.render() if fps == FPS else Film.of(default_scene(), round(48 * fps / FPS))
+    sink = Sink()
     config = folder / "config.yaml"
     config.write_text(CONFIG.format(folder))
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     outputs.open_output = lambda spec: sink
-    camera, overrides = camera_type(film.colour, FPS), CommandLineOverrides(config)
+    camera, overrides = camera_type(film.colour, fps), CommandLineOverrides(config)
     daemon = Daemon(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, log=print)
     daemon.run(cast(Any, SimpleNamespace(asked=False)))
     np.save(folder / "times.npy", np.array(sink.times))
@@ -218,16 +220,27 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=3.5, help="of each period")
     parser.add_argument("--priority", type=int, default=realtime.PRIORITY, help="of the daemon, above other programs")
+    parser.add_argument("--fps", type=float, default=FPS, help="of the camera")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
         realtime.PRIORITY = given.priority
-        serve(given.serve)
+        serve(given.serve, fps=given.fps)
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         process = subprocess.Popen(
-            [sys.executable, "-m", "tests.live_cost", "--serve", name, "--priority", str(given.priority)],
+            [
+                sys.executable,
+                "-m",
+                "tests.live_cost",
+                "--serve",
+                name,
+                "--priority",
+                str(given.priority),
+                "--fps",
+                str(given.fps),
+            ],
             stdout=subprocess.DEVNULL,
         )
         path = folder / "s"
@@ -237,10 +250,13 @@ def main() -> None:
         periods = [period(path, process.pid, "nothing", given.seconds)]
         for kind in given.kinds * given.rounds:
             periods += [period(path, process.pid, k, given.seconds) for k in (kind, "nothing")]
+        status = Client(path).status()
         Client(path).ask("stop")
         process.wait(60.0)
         times, latency = np.load(folder / "times.npy").T
     p99 = [1e3 * np.percentile(latency[(times >= begin) & (times < end)], 99) for _, begin, end, _, _ in periods]
+    rate = np.count_nonzero((times >= periods[0][1]) & (times < periods[0][2])) / (periods[0][2] - periods[0][1])
+    print(f"{status.fps:.1f} frames/s, {rate:.1f} reports/s; stages in ms: {status.stages_ms}", file=sys.stderr)
     head = ("client", "99 % of the latency", "ratio: median (lowest, highest)", "memory", "skipped")
     print(f"| {' | '.join(head)} |\n{'| --- ' * len(head)}|")
     for kind in dict.fromkeys(given.kinds):

@@ -11,10 +11,13 @@ from daemon_world import DT, Film
 from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
+from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Frame, Status
 
 
@@ -186,3 +189,55 @@ def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
     assert answers[3][1].startswith("camera pose: x ")
     play()
     assert play.adapter.pose is not pose
+
+
+@pytest.fixture(scope="module")
+def bumped():
+    """The camera 14 mm off, and turned by 0.6°."""
+    scene = default_scene()
+    turn = exp(np.radians(0.6) * np.array([0.6, 0.8, 0.0]))
+    moved = Pose(turn @ scene.pose.rotation, scene.pose.position + np.array([0.010, -0.006, 0.008]))
+    return Film.of(replace(scene, pose=moved), 4), moved
+
+
+def play_until(play, condition, place=0):
+    for _ in range(90):
+        play(place)
+        if condition():
+            return
+    raise AssertionError("not within 3 s")
+
+
+def is_at(play, pose):
+    tracker = play.adapter.tracker
+    return tracker is not None and np.abs(tracker.pose.position - pose.position).max() < 2e-3
+
+
+def test_after_an_internal_error_a_bumped_camera_keeps_its_new_pose(film, bumped):
+    play, (moved_film, moved) = Play(film), bumped
+    for k in range(24):
+        play(k)
+    play.film = moved_film
+    play_until(play, lambda: is_at(play, moved))
+    play(error=ZeroDivisionError("as if we had made a mistake"))
+    assert play.adapter.status is Status.SEARCHING
+    play()
+    assert is_at(play, moved)
+
+
+def test_a_pose_of_frames_before_the_camera_was_bumped_is_refused(film, bumped):
+    held, answers = [], []
+    play, (moved_film, moved) = Play(film, do=lambda kind, work: held.append(work) if kind == POSE else work()), bumped
+    for k in range(24):
+        play(k)
+    play.adapter.reinitialise(lambda *a: answers.append(a), lambda: True)
+    while not answers:
+        play(place=0)
+        if len(held) == 2:
+            play.film = moved_film  # before the second view was searched
+            play_until(play, lambda: is_at(play, moved))
+        for work in held[-1:] if held else ():
+            work()
+            held[-1:] = [lambda: None]
+    assert "the targets are not where the frames before showed them" in answers[0][0]
+    assert is_at(play, moved)

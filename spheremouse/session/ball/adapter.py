@@ -187,6 +187,7 @@ class BallAdapter(TrackerAdapter):
 
     def restart(self, reason: str) -> None:
         """Search the ball again, with the known camera pose. `reason` is the state in words until the ball is found."""
+        self._tracker = self.tracker  # at the pose that a bumped camera was given since
         self.state, self.status = None, Status.SEARCHING
         self._messages.restart(reason)
         self._forget_views()
@@ -360,6 +361,9 @@ class BallAdapter(TrackerAdapter):
         begun = self._detected = time.monotonic()
         found = None if self._reinitialisation is None else self._estimate_pose(frame, self._reinitialisation)
         sought = self._recovery.found(current(before, tracker))
+        if found is not None and not shows_targets(frame, tracker, found.pose):
+            self._cancel_reinitialisation("the targets are not where the frames before showed them")
+            found = None
         if found is not None:
             made = self._with_pose(before, frame, tracker, found)
         elif sought is not None and shows_targets(frame, tracker, sought):
