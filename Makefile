@@ -57,7 +57,7 @@ help:
 	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
 	@echo "make test-aarch64 the arm64 wheel on an emulated processor: the clip's counts must equal those of this machine"
-	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
+	@echo "make soak         a month of the daemon in minutes; SOAK_ARGS=... chooses days and seed"
 	@echo "make fuzz         broken input of every kind; FUZZ_EXAMPLES=N of each, FUZZ_ARGS=... goes to pytest"
 	@echo "make sanitize     the tests of the part in C++ with AddressSanitizer and UndefinedBehaviorSanitizer"
 	@echo "make clean        removes everything that these targets made"

@@ -73,7 +73,7 @@ UNSEEN = 60  # frames without a ball after which it must be lost
 OF_FRAMES = ("damaged", "size", "dark", "white", "noise", "hand", "hidden", "internal")
 SETTLED = 60  # frames after a fault until all is as it was: lost_after, reset_after, and the map recognised
 CLOSE, CLOSE_SHARE = 3.0, 0.01  # counts, and of the path: the estimate at either end
-GROWTH, GROWTH_SHORT = 1.0, 40.0  # MB in use, from the second quarter to the last fifth
+GROWTH, GROWTH_SHORT = 1.0, 40.0  # MB in use, from the middle to the last fifth
 LONG = 10.0  # days from which on memory is judged as flat
 EVERY = 0.05  # s between two things that somebody asks
 BUMP, BUMP_DEGREES = np.array([0.010, -0.006, 0.008]), 0.6  # m; of the camera
@@ -491,10 +491,10 @@ def _ledger(cabinet: Cabinet, daemon: Any) -> None:
 
 
 def _flat(cabinet: Cabinet, figures: list[Figure]) -> None:
-    """Judge the least of each part, since pictures come and go."""
+    """Judge the least of each part. In the first half the times of 10,000 frames and reports fill up (timing.py)."""
     tenths = [[f.memory for f in figures if int(10.0 * f.days / cabinet.days) == k] for k in range(10)]
     print("  MB in use, least of each tenth: " + ", ".join(f"{min(t):.1f}" for t in tenths if t))
-    middle = [f for f in figures if 0.3 * cabinet.days < f.days <= 0.5 * cabinet.days] or figures
+    middle = [f for f in figures if 0.5 * cabinet.days < f.days <= 0.7 * cabinet.days] or figures
     end = [f for f in figures if f.days > 0.8 * cabinet.days] or figures
     for name, growth in (("memory", GROWTH if cabinet.days > LONG else GROWTH_SHORT), ("threads", 3), ("files", 6)):
         before, after = (min(getattr(f, name) for f in part) for part in (middle, end))

@@ -52,7 +52,7 @@ from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.run_description import describe_run
 from spheremouse.session.setup import Setup
 from spheremouse.session.state_monitor import StateMonitor
-from spheremouse.session.timing import NEXT_FRAME, Arrivals, CpuShare, memory_mb
+from spheremouse.session.timing import NEXT_FRAME, Arrivals, CpuShare, SleepMonitor, memory_mb
 from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
 
@@ -108,7 +108,7 @@ class Daemon:
         self._capture = Capture(camera(plan), self._ring, self._log, patience)
         self._arrivals = Arrivals(patience)
         adapter = setup.adapter(plan, self._log, self._workers.do)
-        self._worker = Worker(adapter, self._log)
+        self._worker, self._sleep = Worker(adapter, self._log), SleepMonitor()
         self._outputs = Outputs(
             plan.outputs,
             plan.configuration.pointer,
@@ -200,6 +200,11 @@ class Daemon:
     def _work(self, arrival: Arrival, now: float) -> None:
         """Track a frame that arrived at `now` (s, monotonic), and show it."""
         self._arrivals.add(now)
+        if slept := self._sleep.slept(now):
+            self._log(f"the computer slept for {slept:.0f} s: motion meanwhile is not counted")
+            self._outputs.end_prediction(now)
+        if slept or self._sleep.is_older(arrival.taken):
+            self.adapter.slept()
         replay, waiting = self._setup.replay, self.adapter.waiting
         if replay is not None and replay.is_first(arrival.raw) and not waiting:
             self.adapter.restart("the recording begins")

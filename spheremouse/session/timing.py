@@ -12,6 +12,7 @@ import numpy as np
 from spheremouse.capture.fetch import PATIENCE
 
 NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
+_SHORTEST_SLEEP = 0.1  # s
 _MAX_FRAMES = 10_000  # that are kept: some minutes
 
 
@@ -51,6 +52,38 @@ class FrameTimes:
 
 def _quantile(seconds: list[float], share: float) -> float:
     return float(np.quantile(seconds, share)) if seconds else math.nan
+
+
+def time_asleep() -> float:
+    """Return the time (s) for which the computer has slept since it was started; 0 where the system has no such clock.
+
+    A thread that loses the processor between the two clocks makes it smaller, never larger.
+    """
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        return 0.0
+    with_sleep = time.clock_gettime(time.CLOCK_BOOTTIME)
+    return with_sleep - time.monotonic()
+
+
+class SleepMonitor:
+    """Notices that the computer slept (suspended), while the monotonic clock stood."""
+
+    def __init__(self) -> None:
+        self._asleep = time_asleep()
+        self._woke = -math.inf  # s, monotonic
+
+    def slept(self, now: float) -> float:
+        """Return the time (s) slept since the last call, 0 for less than a tenth of a second."""
+        asleep = time_asleep()
+        slept, self._asleep = asleep - self._asleep, max(self._asleep, asleep)
+        if slept < _SHORTEST_SLEEP:
+            return 0.0
+        self._woke = now
+        return slept
+
+    def is_older(self, taken: float) -> bool:
+        """Return whether a frame was taken (s, monotonic) before the last sleep was noticed."""
+        return taken < self._woke
 
 
 class Arrivals:

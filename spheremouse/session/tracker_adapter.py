@@ -125,6 +125,10 @@ class TrackerAdapter(Protocol):
         """
         ...
 
+    def slept(self) -> None:
+        """Count no motion to the next frame, because the ball may have turned while the computer slept."""
+        ...
+
     def restart(self, reason: str) -> None:
         """Search the ball again with the next frame."""
         ...

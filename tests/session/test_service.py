@@ -34,6 +34,7 @@ from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import project
 from spheremouse.session import config_reloader as loader_module
 from spheremouse.session import service as run_module
+from spheremouse.session import timing
 from spheremouse.session.control.client import Client
 from spheremouse.session.process import realtime
 from spheremouse.session.process.threads import as_future
@@ -105,6 +106,35 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(world):
         for part in parts:
             reply, page = reply[part], page[part]
         assert reply.keys() >= page.keys()
+
+
+def test_nothing_is_sent_for_the_time_asleep(world, monkeypatch):
+    """The ball turns while the computer sleeps. The stamps show no gap, since the monotonic clock stood."""
+    asleep = [0.0]
+    monkeypatch.setattr(timing, "time_asleep", lambda: asleep[0])
+    world.start()
+    world.reach("tracking")
+    world.turn()
+    world.turn()
+    world.settle()
+    near(world)
+    before, places = world.counts, [15, 47, 30, 0] * 5
+    for place in places:
+        world.hang = threading.Event()
+        time.sleep(0.05)
+        world.place, asleep[0] = place, asleep[0] + 3600.0
+        go_on, world.hang = world.hang, None
+        go_on.set()
+        world.settle()
+        world.reach("tracking")
+        world.settle()
+        assert np.abs(world.counts - before).max() < CLOSE
+    assert said(world, "the computer slept for 3600 s: motion meanwhile is not counted")
+    since = world.stamp
+    world.turn(20)
+    true = world.true_counts(since=since)
+    assert np.abs(world.counts - before - true).max() < CLOSE
+    assert np.abs(true).max() > 100
 
 
 def said(world, text):

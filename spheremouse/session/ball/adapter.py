@@ -18,7 +18,7 @@ from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.smooth import Observation, observe
-from spheremouse.ball.state import Epoch, Tracker, TrackState, current
+from spheremouse.ball.state import Epoch, Tracker, Tracking, TrackState, current, lost
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -184,6 +184,12 @@ class BallAdapter(TrackerAdapter):
         """Drop the work on past frames, since the camera may be moved meanwhile."""
         self._forget_views()
         self._cancel_reinitialisation(reason)
+
+    def slept(self) -> None:
+        """Have the ball recognised by its map, as after a gap in the stamps: their clock stood."""
+        self.interrupted("the computer slept")
+        if self.state is not None and isinstance(self.state.phase, Tracking):
+            self.state = lost(self.state)
 
     def restart(self, reason: str) -> None:
         """Search the ball again, with the known camera pose. `reason` is the state in words until the ball is found."""

@@ -114,6 +114,9 @@ class WandAdapter(TrackerAdapter):
         self.mapping.interrupted()
         self._messages.interrupted()
 
+    def slept(self) -> None:
+        self.interrupted("the computer slept")
+
     def restart(self, reason: str) -> None:
         self._state, self._poses, self.status = None, (), Status.SEARCHING
         self.mapping.interrupted()
