@@ -5,11 +5,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from spheremouse.errors import ConfigurationError
+
 if TYPE_CHECKING:
     from rich.table import Table
 
     from spheremouse.ball.disc_map import DiscMap
     from spheremouse.ball.texture.picture_map import PictureMap
+
+_WIDTH = 1440  # px, of a whole turn
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -20,18 +24,31 @@ def map_() -> None:
 
 
 @app.command(epilog="Example: spheremouse map show rig.map.yaml")
-def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
+def show(
+    file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw a pattern by longitude and latitude.")
+    ] = None,
+) -> None:
     """Print a saved map: the discs, or the known part of a pattern.
 
     Latitude and longitude of a disc are in degrees in `ball`. The pole is Y, longitude 0 is Z, 90 is X. Sigma is the
     standard deviation of the direction for each axis.
     """
     from spheremouse.ball.disc_map import DiscMap
+    from spheremouse.ball.texture.picture_map import unfolded
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import table_console
     from spheremouse.files.ball_map import age, load_map
+    from spheremouse.session.overlay.file import write_picture
 
     saved = load_map(file)
     found: Any = saved.map
+    if output is not None and found.kind == DiscMap.kind:
+        raise ConfigurationError(f"--output: {file} is a map of discs, and draws none", "leave --output out")
+    if output is not None:
+        check_outputs([output], [file], True)
+        write_picture(output, unfolded(found.fine, _WIDTH))
     table = (_disc_table if found.kind == DiscMap.kind else _pattern_table)(found)
     of = f"{found.text} on a ball of {saved.ball_radius:g} m"
     if saved.disc_radius is not None:

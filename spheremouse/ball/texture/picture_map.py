@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.disc_map import DiscMap, variances
 from spheremouse.ball.filters.so3_state import So3State, with_map
 from spheremouse.ball.state import SURE, Recognising, TrackState
@@ -212,6 +213,22 @@ def look(picture: Picture, directions: Array) -> tuple[Array, Array]:
         value += share * picture.value[face, row + i, column + j]
         weight = np.minimum(weight, picture.weight[face, row + i, column + j])
     return value.reshape(directions.shape[:-1]), weight.reshape(directions.shape[:-1])
+
+
+def unfolded(picture: Picture, width: int) -> Image:
+    """Return a picture by longitude and latitude in `ball`, (width / 2, width, 3) BGR; unknown cells are blue.
+
+    The pole is Y, and Z is in the middle: longitude grows to the right, towards X.
+    """
+    longitude = np.pi * (2.0 * (np.arange(width) + 0.5) / width - 1.0)
+    latitude = np.pi * (0.5 - 2.0 * (np.arange(width // 2) + 0.5) / width)
+    x = np.cos(latitude)[:, None] * np.sin(longitude)
+    z = np.cos(latitude)[:, None] * np.cos(longitude)
+    value, weight = look(picture, np.stack([x, np.broadcast_to(np.sin(latitude)[:, None], x.shape), z], axis=-1))
+    known = weight >= LEAST_WEIGHT
+    largest = max(float(np.percentile(np.abs(value[known]), 99.0)), 1e-6) if known.any() else 1.0
+    grey = np.clip(128.0 * (1.0 + value / largest), 0.0, 255.0).astype(np.uint8)
+    return np.where(known[..., None], grey[..., None], np.array([120, 60, 30], np.uint8))
 
 
 def _turned(picture: Picture, rotation: Array) -> Picture:

@@ -10,7 +10,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Found, NewMap, Recognised
 from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.ball.texture.picture import anchor_directions
-from spheremouse.ball.texture.picture_map import PictureMap, look, resized
+from spheremouse.ball.texture.picture_map import PictureMap, look, resized, unfolded
 from spheremouse.ball.track import step
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
@@ -75,6 +75,20 @@ def test_look_is_exact_at_the_cells_and_the_amount_is_that_of_the_sphere():
     assert whole.amount == pytest.approx(100.0)
     part = np.where(x[..., 2] > 0.5, whole.coarse.weight, 0.0).astype(np.float32)  # a cap of a quarter of the sphere
     assert replace(whole, coarse=whole.coarse._replace(weight=part)).amount == pytest.approx(25.0, abs=0.5)
+
+
+def test_an_unfolded_picture_has_y_above_z_in_the_middle_and_x_right_of_it():
+    picture = a_map(plain).coarse
+    x = cell_directions(picture.value.shape[1])
+    for axis, row, column in ((1, 0, 180), (2, 90, 180), (0, 90, 270)):
+        spot = picture._replace(value=np.where(x[..., axis] > 0.9, 0.3, 0.0).astype(np.float32))
+        image = unfolded(spot, 360)
+        assert image.shape == (180, 360, 3)
+        assert (image[row, column] == image[row, column, 0]).all()
+        assert image[row, column, 0] > 200
+        assert image[179 - row, (column + 180) % 360, 0] == 128
+    nothing = unfolded(picture._replace(weight=np.zeros_like(picture.weight)), 360)
+    assert (nothing[..., 0] != nothing[..., 1]).all()
 
 
 @pytest.mark.parametrize("cells", [160, 104, 240])

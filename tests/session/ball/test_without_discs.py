@@ -142,7 +142,8 @@ def test_a_run_saves_its_picture_and_the_next_one_recognises_it(recording, tmp_p
     assert re.search(r"a.yaml: \d+ % of the pattern, saved just now", again)
     assert re.search(r"recognised by \d+ parts of the pattern of the saved map", again)
     assert "the patterns' correlation is 1.00" in again
-    assert f"{file}: " in invoke(app, "map", "show", file)[1]
+    assert f"{file}: " in invoke(app, "map", "show", file, "--output", tmp_path / "a.png")[1]
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     found = invoke(app, "evaluate", recording, "--map", file, "--json", tmp_path / "r.json")
     assert found[0] == 0
     assert json.loads((tmp_path / "r.json").read_text())["identified_from_frame"] < 3
