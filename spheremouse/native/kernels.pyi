@@ -103,12 +103,13 @@ def learn_texture(
 
 def weigh_static(
     samples: _Samples, picture: _Picture, R: _Float, after: tuple[_Narrow, _Narrow, _Narrow], noise: float,
-    share: float, settle: float,
+    share: float, settle: float, apart: float,
 ) -> None:  # fmt: skip
     """Update three arrays of the samples, (r, c), in place.
 
     `after` has the mean contrast, which takes a `share` of the frame, the log odds that the sample turns with the ball,
-    and the contrast that stands still, which takes the share `settle` of what remains.
+    and the contrast that stands still, which takes the share `settle` of what remains. A sample tells only if the
+    two explanations are `apart` standard deviations.
     """
 
 # spheremouse/ball/constellation/evidence.cpp

@@ -5,7 +5,6 @@ namespace spheremouse::ball {
 namespace {
 
 constexpr float FACING = 0.3f;          // cosine between ray and normal from which a place is learnt
-constexpr float APART = 9.0f;           // squared standard deviations from which two explanations differ
 constexpr float MOST_PER_FRAME = 3.0f;  // nats: one frame proves little
 constexpr float DOUBLE = 2.0f;          // views of a tile, after which it is learnt half as often
 constexpr int SELDOM = 8;               // calls in which a known tile is learnt once
@@ -136,7 +135,7 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
 /// Only a sample for which the two explanations differ says something. What the turning picture leaves unexplained in
 /// the mean is the contrast of light, `offset`, of which a frame has the share `settle`.
 void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tuple after, double noise, double share,
-                  double settle) {
+                  double settle, double apart_) {
     const Samples samples = read_samples(samples_);
     const Picture picture = read_picture(picture_[0], picture_[1]);
     const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
@@ -146,7 +145,8 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
     for (const auto& each : {mean, odds, offset})
         if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
             throw nb::type_error("mean, odds, offset: must have the shape of direction");
-    const float variance = float(noise * noise), limit = MOST_OF_OFFSET * float(noise);
+    const float variance = float(noise * noise), least = float(apart_ * apart_) * variance,
+                limit = MOST_OF_OFFSET * float(noise);
     for (int i = 0; i < samples.size(); i++) {
         if (!(samples.direction[3 * size_t(i)] < 2.0f)) continue;
         const float now = samples.at(i / samples.columns, i % samples.columns);
@@ -154,7 +154,7 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
         const Look seen = look(picture, place_on(R.transpose() * samples.towards(i), picture.n));
         if (seen.weight > LEAST_WEIGHT) {
             const float apart = before - seen.value, stays = now - before, turns = now - seen.value;
-            if (apart * apart > APART * variance) {
+            if (apart * apart > least) {
                 const float nats = 0.5f * (stays * stays - turns * turns) / variance;
                 float& o = odds.data()[i];
                 o = std::clamp(o + std::clamp(nats, -MOST_PER_FRAME, MOST_PER_FRAME), -MOST_ODDS, MOST_ODDS);
@@ -171,7 +171,7 @@ void bind_learn(nb::module_& m) {
     m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
           arg("most"), arg("turn"), arg("forget"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),
-          arg("share"), arg("settle"));
+          arg("share"), arg("settle"), arg("apart"));
 }
 
 }  // namespace spheremouse::ball

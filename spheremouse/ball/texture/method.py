@@ -30,11 +30,11 @@ from spheremouse.ball.state import (
     start_tracking,
 )
 from spheremouse.ball.texture.picture import (
+    DETAIL,
     SHOWS,
     STATIC_ODDS,
     Alignment,
     Floats,
-    Seen,
     TextureView,
     align,
     contrast_noise,
@@ -55,10 +55,8 @@ from spheremouse.tracker import Frame, Status
 
 _VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
-_TURNING, _SEEN = (
-    5,
-    20,
-)  # samples of a part of the ball that turn as it does, chance gives none; times as many to see it
+_TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
+_SEEN = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
@@ -120,8 +118,9 @@ def detect_texture(
     elif _details(detector, now) < _PLAIN * now.details:
         now = now._replace(plain_at=frame.stamp)
     found, shown = _detections(detector.fine, alignment, tracker)
-    far = turns and _path(detector, now, alignment) > _PROVEN_PX
-    proven = now.turned or now.proven or (far and _turns_all_over(detector.fine, now.fine.seen))
+    proven = now.turned or now.proven
+    if alignment is not None and turns and not proven and _path(detector, now, alignment) > _PROVEN_PX:
+        proven = _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
     return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
 
 
@@ -153,15 +152,18 @@ def _details(detector: TextureDetector, now: TextureState) -> int:
     return int(np.count_nonzero(shows & (seen.counts > STATIC_ODDS)))
 
 
-def _turns_all_over(view: TextureView, seen: Seen) -> bool:
-    """Return whether samples are known to turn in more than half of the parts of the ball in view.
+def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: float) -> bool:
+    """Return whether most parts of the ball in view have turned since the first frame. A hand is in fewer.
 
-    A hand before the ball is in fewer.
+    The samples of a part show together what one of them does not show.
     """
-    on_ball = np.isfinite(view.nothing)
-    part = np.argmax(view.direction[on_ball] @ view.anchors.T.astype(np.float32), axis=1)
-    turning, all_ = (np.bincount(part[k], minlength=1) for k in (seen.odds[on_ball] > -STATIC_ODDS, slice(None)))
-    return bool(np.count_nonzero(turning >= _TURNING) > 0.5 * np.count_nonzero(all_ >= _SEEN * _TURNING))
+    seen = level.seen._replace(mean=np.nan_to_num(level.seen.first), odds=np.zeros_like(level.seen.odds))
+    nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
+    counts = np.isfinite(view.nothing) & (seen.counts > STATIC_ODDS)
+    part = np.argmax(view.direction[counts] @ view.anchors.T.astype(np.float32), axis=1)
+    number = np.bincount(part)
+    total = np.bincount(part, nats[counts]) / DETAIL
+    return bool(np.count_nonzero(total > -STATIC_ODDS) > _TURNING * np.count_nonzero(number >= _SEEN))
 
 
 def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:
@@ -198,7 +200,7 @@ def _angle(a: Array, b: Array) -> float:
 def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> TextureState:
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
     pixel = detector.fine.pixel
-    starts = not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
+    starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
     turn, task = divmod(now.turn, _EVERY)
     moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0

@@ -36,6 +36,8 @@ _ROUNDING = 0.4  # grey values, of mean and interpolation
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
 _SAME, SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
+_APART = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
+DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _OF_LATE = 0.2  # of a frame in the mean contrast
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 _FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball well
@@ -246,14 +248,25 @@ def contrast_noise(grain: float, light: float) -> float:
     return float(np.hypot(_NOISE, grain / max(light, 1.0)))
 
 
-def weigh(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float, settle: float = 0.0) -> Seen:
+def weigh(
+    view: TextureView,
+    seen: Seen,
+    picture: Picture,
+    attitude: Array,
+    noise: float,
+    settle: float = 0.0,
+    apart: float = _APART,
+) -> Seen:
     """Return the samples with the odds after a frame at `attitude`, (3, 3), that they turn with the ball.
 
     What stands still affects the contrast of its neighbourhood too. The offset takes the share `settle` of a frame.
+    A sample tells only if the two explanations are `apart` standard deviations.
     """
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
-    kernels.weigh_static(_samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle)
+    kernels.weigh_static(
+        _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, apart
+    )
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     least = cv2.erode(cv2.medianBlur(odds, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)

@@ -19,6 +19,7 @@ from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.chart import Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
+    DETAIL,
     Alignment,
     Floats,
     Picture,
@@ -37,11 +38,8 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp
 
 _COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
-LEAST_CORRELATION = (
-    0.35  # least correlation of frame and picture: with noise as strong as the pattern in both, it is a half
-)
+LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
-_DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
 _CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 _STEP = float(
@@ -153,7 +151,7 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array | None,
 
 def fits(alignment: Alignment) -> bool:
     """Return whether frame and picture show the same."""
-    significance = np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / _DETAIL)
+    significance = np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / DETAIL)
     return alignment.converged and alignment.correlation > LEAST_CORRELATION and bool(significance > _SIGNIFICANT)
 
 

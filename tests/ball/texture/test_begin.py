@@ -141,6 +141,26 @@ def test_a_ball_that_never_turns_sends_nothing_whatever_the_noise(film):
         assert not any(np.any(s.estimate.increment) for s in steps)
 
 
+def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film):
+    """It covers a third of the ball, and moves by the ball's radius."""
+    made, tracker = film
+    still = made[0].frame.image
+    height, width = still.shape[:2]
+    rng = np.random.default_rng(2)
+    sleeve = 110.0 + 60.0 * np.sign(cv2.GaussianBlur(rng.normal(size=(height, 3 * width)), (0, 0), 3.0))
+    v, u = np.mgrid[:height, :width]
+    covered = np.hypot(u - 0.5 * width, v - 0.5 * height) < 0.2 * height
+    images = []
+    for k in range(90):
+        at = width + round(0.5 * max(k - 15, 0))
+        noisy = still + rng.normal(0.0, 3.0, still.shape)
+        noisy[covered] = sleeve[:, at : at + width][covered][:, None]
+        images.append(np.clip(noisy, 0, 255).astype(np.uint8))
+    steps = follow(images, tracker)
+    assert not {Found, Turned} & set(events(steps))
+    assert all(not s.estimate.increment.any() for s in steps)
+
+
 def test_a_picture_in_grey_is_worth_one_in_colour(film):
     made, tracker = film
     steps = [follow([m.frame.image for m in made[:30]], tracker)]

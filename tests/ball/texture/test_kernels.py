@@ -42,7 +42,7 @@ def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, turn=-1, forget=False,
 
 def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, **samples):
     after = mean.copy(), odds_after.copy(), offset_after.copy()
-    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01)
+    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01, 3.0)
     return after
 
 
