@@ -164,6 +164,54 @@ def outline_log_likelihood(c, edges, model, factor):
     return np.sum(np.log(seen + EDGE_HIDDEN)) + 0.5 * b * b / information - 0.5 * np.log(information * prior)
 
 
+# ---- refinement ----
+
+
+def refine_once(p, R, model, fields, edges):
+    """Twin of `kernels.refine` with one round: one Gauss-Newton step. Return position and rotation."""
+    count, factor = len(fields.rim), fields.factor
+    fraction = np.clip(fields.fraction, 0.003, 0.5)
+    distance = np.linalg.norm(p)
+    half = 0.5 * factor * distance / model.lens[0]
+    step = [half, half, half * min(distance / model.radius, 40.0), *[0.5 * half / model.radius] * 3]
+    B, found = ray_basis(p), edges[:, 4] > 0
+
+    def outline_residual(c):
+        x = c + outline(c, model.radius)
+        u, v = pixel(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], model.lens)
+        return (edges[:, 0] - u) * edges[:, 2] + (edges[:, 1] - v) * edges[:, 3]
+
+    def full(s):
+        r, w = np.zeros(len(model.points.colour)), np.zeros(len(model.points.colour))
+        r[s.index], w[s.index] = s.r, s.w
+        return r, w
+
+    here, J, J_outline = sight(p, R, model, fields), [], []
+    for k in range(6):
+        d = np.eye(6)[k] * step[k]
+        sides = [(p + s * B @ d[:3], exp(s * d[3:]) @ R) for s in (1.0, -1.0)]
+        (r0, w0), (r1, w1) = (full(sight(*side, model, fields)) for side in sides)
+        J.append(np.where((w0 > 0) & (w1 > 0), r0 - r1, 0.0)[here.index] / (2.0 * step[k]))
+        J_outline.append((outline_residual(sides[0][0]) - outline_residual(sides[1][0])) / (2.0 * step[k]) * (k < 3))
+    colour = model.points.colour[here.index]
+    rows = np.column_stack([*J, *[np.where(colour == k, -here.g, 0.0) for k in range(count)], np.zeros(len(colour))])
+    inlier = (1 - OUTLIER) * np.exp(-0.5 * (here.r / SIGMA) ** 2)
+    p_of = fraction[np.maximum(colour, 0)]
+    m = np.where(colour < 0, 0.0, here.m[np.arange(len(colour)), np.maximum(colour, 0)] - here.r)
+    inlier /= (1 - p_of) * np.exp(-0.5 * (m / SIGMA) ** 2) + p_of
+    weight = here.w * inlier / (inlier + OUTLIER) / SIGMA**2
+    edge_rows = np.column_stack([*J_outline, np.zeros((24, count)), -np.ones(24)])[found]
+    edge_r, variance = outline_residual(p)[found], (EDGE_SIGMA * factor) ** 2
+    seen = (1 - EDGE_HIDDEN) * np.exp(-0.5 * edge_r**2 / variance) / EDGE_UNIFORM
+    edge_weight = seen / (seen + EDGE_HIDDEN) / variance
+    prior = [0.5 * model.radius] * 2 + [2.0 * model.radius] + [0.3] * 3 + [RIM_OFFSET] * count + [EDGE_OFFSET * factor]
+    A = rows.T * weight @ rows + edge_rows.T * edge_weight @ edge_rows + np.diag(np.array(prior) ** -2.0)
+    dx = np.linalg.solve(A, -rows.T @ (weight * here.r) - edge_rows.T @ (edge_weight * edge_r))
+    across, along = np.abs(dx[:2]).max() / (0.5 * model.radius), abs(dx[2]) / (0.15 * distance)
+    dx /= max(across, along, np.abs(dx[3:6]).max() / 0.4, 1.0)
+    return p + B @ dx[:3], exp(dx[3:6]) @ R
+
+
 # ---- particles ----
 
 
