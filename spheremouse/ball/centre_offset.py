@@ -1,7 +1,7 @@
 """Estimate the offset of the ball's centre from the points of one frame and the known discs.
 
-If the ball is lifted off its bearings, or out of round, no rotation explains the places of its discs. A shift of its
-centre may explain them. Least squares estimate rotation and shift together.
+If the ball moves in its bearings, is lifted off them, or is out of round, no rotation explains the places of its discs.
+A shift of its centre may explain them. Least squares estimate rotation and shift together.
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,8 @@ from spheremouse.geometry.rotation import Array, hat
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
-_EXPLAINED = 0.1  # of the chi-square is left with the shift, at most, where a shift is what is wrong
-_ROUND = 3.0  # times as far the centre of a ball known to be out of round must be before it counts as lifted
-_MOST = 10.0  # chi-square per degree of freedom that a frame counts for in the mean: one wrong pair is not a bad ball
-OUT_OF_ROUND = 5.0  # mean chi-square per degree of freedom; at 1 the discs fit a rotation
-_MIN_MAHALANOBIS = 6.0  # standard deviations that an offset must be
-_MEAN_TIME_S = 1.0  # time constant of that mean; hands and struts spoil a disc for less
+_MOST = 10.0  # chi-square per degree of freedom of discs that fit a rotation; at 1 they are as exact as they say
+_MAHALANOBIS = 3.0  # standard deviations of an offset that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +25,15 @@ class CentreOffset:
 
     pairs: int
     shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
-    sigma: float  # m, its standard deviation in the direction in which it is known least
+    covariance: Array  # (3, 3) m²
     mahalanobis: float  # standard deviations
     chi2_rotation: float  # chi-square of the directions with a rotation alone, per degree of freedom
     chi2_with_offset: float  # the same with the shift
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of `shift` in the direction in which it is known least, m."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[2]))
 
     @property
     def distance(self) -> float:
@@ -78,30 +79,12 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
         square = x[3:] @ np.linalg.solve(Q[3:, 3:], x[3:])
     except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
         return None
-    sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:])[2])
     chi2 = max(total - right[:3] @ turn, 0.0) / (2 * k - 3), max(total - right @ x, 0.0) / (2 * k - 6)
-    offset = CentreOffset(k, radius * x[3:], float(sigma), float(np.sqrt(max(square, 0.0))), *map(float, chi2))
+    offset = CentreOffset(k, radius * x[3:], radius**2 * Q[3:, 3:], float(np.sqrt(max(square, 0.0))), *map(float, chi2))
     return offset if np.isfinite(offset.mahalanobis) else None
 
 
-def is_off(found: CentreOffset, radius: float, lifted: float, out_of_round: bool = False) -> bool:
-    """Return True if the centre is off its place and the shift explains the residuals.
-
-    `lifted` is the least offset in radii. A ball out of round has a centre that goes round, so it needs three times
-    that.
-    """
-    least = (_ROUND if out_of_round else 1.0) * lifted * radius
-    far = found.distance > least and found.mahalanobis > _MIN_MAHALANOBIS
-    return far and found.chi2_with_offset < _EXPLAINED * found.chi2_rotation
-
-
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
-    """Return True if the discs fit a rotation about the centre of a ball of `radius` m; `lifted` as in `is_off`."""
-    far = found.distance > 0.5 * lifted * radius and found.mahalanobis > 0.5 * _MIN_MAHALANOBIS
+    """Return True if the discs fit a rotation of a ball of `radius` m about its centre; `lifted` in radii."""
+    far = found.distance > 0.5 * lifted * radius and found.mahalanobis > _MAHALANOBIS
     return not far and found.chi2_rotation < _MOST
-
-
-def averaged(mean: float, found: CentreOffset, dt: float) -> float:
-    """Return the running mean of the chi-square per degree of freedom after a frame that is `dt` s later."""
-    keep = np.exp(-max(dt, 0.0) / _MEAN_TIME_S)
-    return float(keep * mean + (1.0 - keep) * min(found.chi2_rotation, _MOST))

@@ -4,7 +4,7 @@ Wittich 2017, section 3.8 (eq. 110-120), by implicit differentiation in closed f
 adjustment per disc; both give the same covariance (tests/ball/test_points.py).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -38,29 +38,43 @@ class SpherePoints:
     delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row (rolling shutter)
     row: Array  # (n,) that row, from -1/2 at the top of the image to 1/2 at its bottom
     index: NDArray[np.intp]  # (n,) into the detections
+    centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, of the ball from its calibrated place
 
     def __len__(self) -> int:
         return len(self.position)
 
     def take(self, keep: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "SpherePoints":
         """Return the entries of a mask (n,), of indices (k,) or of a slice."""
-        return SpherePoints(*(getattr(self, name)[keep] for name in self.__slots__))
+        return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)[:-1]})
 
-    def measurement(self, radius: float) -> tuple[Array, Array, Array, Array, Array, Array, float]:
+    def seen_from(self, centre: Array, radius: float) -> Array:
+        """Return the directions, (n, 3), from another centre, (3,) m, of a ball of `radius` m, to first order."""
+        shift = centre - self.centre
+        if not shift.any():
+            return self.direction
+        moved = self.direction + (self.dposition_dball[:, :, :3] - np.eye(3)) @ (shift / radius)
+        return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+    def measurement(self, radius: float) -> tuple[Array, Array, Array, Array, Array, float, Array]:
         """Return the points on a ball of `radius` m as `kernels` takes them."""
-        J_pose, J_ball = self.dposition_dpose, self.dposition_dball
-        return self.direction, self.image_covariance, self.delay, self.row, J_pose, J_ball, radius
+        noise, J = self.image_covariance, self.dposition_dball
+        return self.direction, noise, self.delay, self.row, J, radius, self.centre
 
 
-def intersect(detections: Centres, rig: Rig, pose: Pose) -> SpherePoints:
+def intersect(detections: Centres, rig: Rig, pose: Pose, shift: Array | None = None) -> SpherePoints:
     """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).
+
+    The ball's centre is off its calibrated place by `shift` (3,) m; None: not at all.
 
     The result is the nearer of the two points (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
     noise = np.ascontiguousarray(detections.covariance)
-    return SpherePoints(*kernels.intersect(detections.centre, noise, view_of(rig, pose)))
+    view = view_of(rig, pose)
+    if shift is None or not shift.any():
+        return SpherePoints(*kernels.intersect(detections.centre, noise, view))
+    return SpherePoints(*kernels.intersect(detections.centre, noise, view._replace(centre=view.centre + shift)), shift)
 
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:

@@ -28,9 +28,9 @@ class LossSettings:
     )
     # Not a setting: rad/s, 1150 °/s. No hand turns the ball faster; a faster rate means wrong pairs or a bumped camera.
     fastest: float = 20.0
-    # Not a setting: radii. A ball whose centre is farther than this from its place was lifted, or is out of round. The
-    # attitude is then off by a quarter of a degree, two or three counts.
-    lifted: float = 0.004
+    # Not a setting: radii. A ball whose centre is farther than this from its usual place was lifted. Worn bearings move
+    # it by less.
+    lifted: float = 0.025
 
 
 @dataclass(frozen=True, slots=True)

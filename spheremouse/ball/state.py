@@ -118,18 +118,16 @@ class Learning(NamedTuple):
 
 
 class CentreCheck(NamedTuple):
-    """Check that the ball turns about its centre."""
+    """Check of the ball's centre by its discs."""
 
-    frames_off_centre: int = 0  # in a row
-    misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
-    out_of_round: bool = False  # that was too much
-    rotation_since_failure: float = 0.0  # rad the ball has turned about its centre, since it last did not
+    evidence: float = 0.0  # running mean of the squared deviations by which it is off the filter's estimate
+    moved: bool = False  # it has been off, and an event has said so
+    turned: float = 0.0  # rad the ball has turned about it, since it last moved far
+    home: Array = np.zeros(3)  # (3,) m, obj, where it is usually
 
 
 class Tracking(NamedTuple):
     """The ball has turned, so its discs differ from look-alikes."""
-
-    roundness: CentreCheck = CentreCheck()
 
 
 class Trial(NamedTuple):
@@ -176,6 +174,7 @@ class TrackState(NamedTuple, Generic[F]):
     lookalikes: StaticDistractors = StaticDistractors()
     search: Any = SearchState()  # of the detector: for discs that are not on the map yet, or what it knows of a texture
     colours: Colours = Colours()
+    centre: CentreCheck = CentreCheck()
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
@@ -216,11 +215,9 @@ def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
 
 
 def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
-    """Return the state of a ball that is lost with this frame. The count of frames off its centre starts again."""
+    """Return the state of a ball that is lost with this frame."""
     last = state.phase
     assert isinstance(last, Learning | Tracking)
-    if isinstance(last, Tracking):
-        last = Tracking(last.roundness._replace(frames_off_centre=0))
     return state._replace(phase=Lost(last, lifted_at=lifted_at), filter=clear_matches(state.filter), confirmed=False)
 
 

@@ -35,6 +35,7 @@ from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
+    CentreCheck,
     Events,
     Learning,
     Lost,
@@ -180,6 +181,7 @@ def _with_new_pose(
         lookalikes=StaticDistractors(),
         search=_kept_search(state, anew),
         watch=watch,
+        centre=CentreCheck(),
         rebuilt=anew,
     )
     done = _stages(state, frame, anew)
@@ -236,10 +238,11 @@ def advance(
     """Process one frame after detection; `predicted` is the filter at `stamp`, if known."""
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
+    shift = getattr(carried, "centre", None)
     if free.all():
-        points = intersect(detections, tracker.rig, tracker.pose)
+        points = intersect(detections, tracker.rig, tracker.pose, shift)
     else:
-        points = intersect(detections.take(free), tracker.rig, tracker.pose)
+        points = intersect(detections.take(free), tracker.rig, tracker.pose, shift)
         points = replace(points, index=np.flatnonzero(free)[points.index])
     state = state._replace(
         lookalikes=lookalikes,

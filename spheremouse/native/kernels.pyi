@@ -215,8 +215,8 @@ def follow_discs(
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
 
-_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, int]
-_Points = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float]
+_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Float, int]
+_Points = tuple[_Float, _Float, _Float, _Float, _Float, float, _Float]
 _Innovation = tuple[_Float, _Float, _Float, _Float]
 _Modes = tuple[_Float, _Float, _Float]
 _Pending = tuple[_Float, float, _Float, _Modes | None]
@@ -224,7 +224,7 @@ _Sightings = tuple[_Index, _Index, _Float]
 _Activity = tuple[float, float, float, _Float, _Float, _Float]
 _Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, landmarks, their axes
 _Camera = tuple[_Float, float]  # unit vector to the camera, obj, and the least cosine with it of a disc that it sees
-_Figures = tuple[float, float, float]  # rms level of the steps, normalised innovation squared, readout
+_Figures = tuple[float, float, float, _Float]  # rms level of the steps, normalised innovation squared, readout, centre
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 
@@ -287,7 +287,7 @@ def update_ordinary(
 ) -> tuple[_Corrected, _Index, _Counted] | None:  # fmt: skip
     """Return the state corrected by a frame with certain pairs, the paired points, and the sightings; else None."""
 
-def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float]:
+def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float]:
     """Return the motion, the covariance, and the readout, s, of a state moved by an error vector, (23 + 2m,).
 
     The covariance, (23 + 2m, 23 + 2m), is that of the errors about the moved state.

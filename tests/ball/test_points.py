@@ -73,7 +73,7 @@ def test_points_of_random_pixels_lie_on_ray_and_ball(readout):
     assert_allclose(np.linalg.norm(points.position - BALL.centre, axis=1), BALL.radius, atol=1e-12)
     assert_allclose(to_pixels(points.position), uv[points.index], atol=1e-8)
     assert np.all(np.sum(points.direction * (POSE.position - points.position), axis=1) > 0.0)  # the near side
-    for field in fields(points):
+    for field in fields(points)[:-1]:  # the last is of the ball
         assert len(getattr(points, field.name)) == len(points)
         assert np.isfinite(getattr(points, field.name)).all()
         assert_array_equal(getattr(points.take(np.array([4, 1])), field.name), getattr(points, field.name)[[4, 1]])

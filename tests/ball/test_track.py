@@ -26,6 +26,7 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
+from spheremouse.ball.filters.so3_state import COMMON
 from spheremouse.ball.rig import Ball
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState, Withheld, current
@@ -339,7 +340,8 @@ def test_what_pose_and_ball_are_wrong_in_together_reaches_the_filter():
     whole = A @ A.T
     rig = replace(RIG, ball=replace(RIG.ball, covariance=whole[6:, 6:]))
     tracker = build(rig, replace(POSE, covariance=whole[:6, :6], ball_covariance=whole[:6, 6:]), SO3)
-    assert_allclose(begin(tracker, 0.0).filter.joint[9:19, 9:19], whole, atol=1e-20)
+    A = tracker.filter.common_by_pose_and_ball()
+    assert_allclose(begin(tracker, 0.0).filter.joint[COMMON, COMMON], A @ whole @ A.T, atol=1e-20)
 
 
 @trackers
@@ -420,14 +422,17 @@ def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
     assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 2e-3
 
 
-def played(rig, pose, until, *, rng, lift=0.0, noise=1.0, false=False, near=0.35):
-    """A ball that turns, lifted by `lift` m from 4 s on: states and events. `rig` and `pose` are what is believed."""
+def played(rig, pose, until, *, rng, lift=0.0, noise=1.0, false=False, near=0.35, sway=0.0):
+    """A ball that turns, lifted by `lift` m from 4 s on, and swaying by `sway` m at 2 Hz: states and events.
+
+    `rig` and `pose` are what is believed.
+    """
     tracker, discs = build(rig, pose, SO3), directions(40, 0)
     state, states, events = begin(tracker, 0.0), [], []
     for t in seconds(until):
         p = discs @ start(t, 0.3, rate=np.array([0.0, 1.0, 0.3])).T
         least = 0.8 if t < 3.0 and near > 0.35 else 0.35
-        at = [0.0, lift * np.clip((t - 4.0) / 0.2, 0.0, 1.0), 0.0]
+        at = [sway * np.sin(4.0 * np.pi * t), lift * np.clip((t - 4.0) / 0.2, 0.0, 1.0), 0.0]
         uv = pixels(p[p[:, 2] > least], at)
         uv = uv + (noise - 1.0) * SIGMA * rng.normal(size=uv.shape)
         if false:
@@ -447,6 +452,46 @@ def test_a_ball_whose_radius_is_wrong_is_followed_and_that_is_said(error, near):
     assert all(s.status is Status.TRACKING for s in states)
     assert OutOfRound() in events
     assert np.linalg.norm(states[-1].filter.rate - [0.0, 1.0, 0.3]) < 0.2
+
+
+def errors_of(states):
+    """Errors, (n,) rad, of the attitudes of `played`."""
+    true = [start(t, 0.3, rate=np.array([0.0, 1.0, 0.3])) for t in seconds(len(states) * DT)]
+    return np.array([np.linalg.norm(log(s.filter.attitude @ R.T)) for s, R in zip(states, true, strict=True)])
+
+
+@pytest.mark.parametrize("moved", [{"lift": -0.01}, {"sway": 0.005}])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ball_that_moves_in_its_bearings_is_followed(moved, seed):
+    """It sinks by 10 mm within 0.2 s, or sways by 5 mm at 2 Hz. A ball in its place would be off by half a degree."""
+    states, events = played(RIG, POSE, 6.0, rng=np.random.default_rng(seed), **moved)
+    assert all(s.status is Status.TRACKING for s in states)
+    assert OutOfRound() in events
+    assert np.degrees(np.sqrt(np.mean(errors_of(states)[30:] ** 2))) < 0.2
+    swayed = moved.get("sway", 0.0) * np.sin(4.0 * np.pi * seconds(6.0)[-1])
+    assert_allclose(states[-1].filter.centre, [swayed, moved.get("lift", 0.0), 0.0], atol=2e-3)
+
+
+def test_a_good_bearing_costs_nothing():
+    """The centre stays in its place exactly."""
+    states, events = played(RIG, POSE, 5.0, rng=np.random.default_rng(2))
+    assert all(not s.filter.centre.any() for s in states)
+    assert OutOfRound() not in events
+
+
+@pytest.mark.parametrize("error", [-0.008, 0.008])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wrong_radius_whose_uncertainty_is_known_does_less_harm(error, seed):
+    """1.3 % too large or small: the centre is then at another distance."""
+    wrong = replace(RIG, ball=replace(RIG.ball, radius=RIG.ball.radius + error))
+    told = replace(wrong, ball=replace(wrong.ball, covariance=np.diag([0.0, 0.0, 0.0, 0.006**2])))
+    runs = [played(rig, POSE, 5.0, rng=np.random.default_rng(seed))[0] for rig in (wrong, told)]
+    assert all(s.status is Status.TRACKING for states in runs for s in states)
+    untold, stated = (np.degrees(np.sqrt(np.mean(errors_of(states) ** 2))) for states in runs)
+    assert stated < max(untold, 0.1)
+    assert untold < 0.8
+    distance = (POSE.position @ POSE.position) ** 0.5
+    assert_allclose(runs[1][-1].filter.centre, [0.0, 0.0, -error / 0.6 * distance], atol=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(4))

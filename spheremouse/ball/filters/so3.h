@@ -19,8 +19,9 @@ struct Body {
     View<Dynamic, 3> discs;
     View<Dynamic, 6> basis;  // rows of (3, 2)
     View<> P;
-    double readout;  // s, by which the rolling shutter takes longer than the rig says
-    int known;       // discs; the others are candidates, which no point corrects
+    double readout;    // s, by which the rolling shutter takes longer than the rig says
+    Vector<3> centre;  // m, of the ball from its calibrated place
+    int known;         // discs; the others are candidates, which no point corrects
 
     int size() const { return int(discs.rows()); }
 
@@ -30,15 +31,19 @@ struct Body {
 
 /// Points of a frame: `SpherePoints.measurement`.
 struct Points {
-    View<Dynamic, 3> direction;
+    Matrix<Dynamic, 3> direction;
     View<Dynamic, 9> covariance;  // m², of image noise
     Each delay;                   // s, with the estimated readout
     Eigen::Map<const Each> row;
-    View<Dynamic, 18> by_pose;
     View<Dynamic, 12> by_ball;
     double radius;  // m
 
     int size() const { return int(direction.rows()); }
+
+    /// Effect of a shift of the ball's centre on the direction, rad/m.
+    Matrix<3> by_centre(int i) const {
+        return (View<3, 4>(by_ball.row(i).data()).leftCols<3>() - Matrix<3>::Identity()) / radius;
+    }
 
     /// Image noise of the direction, rad².
     Matrix<3> noise(int i) const { return View<3, 3>(covariance.row(i).data()) / (radius * radius); }
@@ -82,6 +87,7 @@ struct Moved {
     Matrix<Dynamic, 6> basis;
     Dense P;  // of the errors about the moved state
     double readout;
+    Vector<3> centre;
     int known;
 
     Body body() const;
@@ -115,7 +121,9 @@ struct Viewer {
 };
 
 Body read_body(nb::tuple body);
-Points read_points(nb::tuple points, double readout);
+
+/// Read the points as seen from the centre and with the readout of `body`.
+Points read_points(nb::tuple points, const Body& body);
 
 /// Read indices, (k,), below `size`. Raise an IndexError that names them.
 Indices read_indices(nb::handle given, const char* name, int size);

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
-    CONSIDERED_DIM,
     KINEMATIC_DIM,
     MAP_OFFSET,
     READOUT,
@@ -28,7 +27,10 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
 )
 from spheremouse.ball.filters.so3_state import (
+    CENTRE,
+    WANDER_S,
     So3State,
+    add_common,
     augment,
     drop,
     inject,
@@ -38,7 +40,7 @@ from spheremouse.ball.filters.so3_state import (
 )
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign, suppress
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, hat
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
 
@@ -48,6 +50,8 @@ _RARE = 1e-3  # probability per frame below which chance does not explain the pa
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
+_CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
+_TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
@@ -77,7 +81,7 @@ class So3Filter:
     horizon: float  # least cosine with it of a disc that can be seen
     disc_angle: float  # rad, angular radius of a disc
     radius: float  # m, of the ball
-    considered: Array = field(default_factory=lambda: np.zeros(2 * (CONSIDERED_DIM,)))  # (10, 10) m, rad: pose, ball
+    considered: Array = field(default_factory=lambda: np.zeros((10, 10)))  # m, rad: errors of pose, centre, radius
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
@@ -85,9 +89,22 @@ class So3Filter:
         joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
-        joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = self.considered
+        A = self.common_by_pose_and_ball()
+        add_common(joint, A @ self.considered @ A.T)
         joint[READOUT, READOUT] = self.readout_sigma**2
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
+
+    def common_by_pose_and_ball(self) -> Array:
+        """Return the matrix, (6, 10), from errors of pose, centre and radius to those of the centre and the axes.
+
+        A picture depends on the camera's axes, and on its place seen from the ball's centre, in radii. So ten errors
+        act like six: a shift of the centre (3, m), and a turn of the axes of obj (3, rad).
+        """
+        towards = self.towards_camera / self.horizon  # radii
+        A = np.zeros((6, 10))
+        A[3:, 3:6] = A[:3, 6:9] = np.eye(3)
+        A[:3, :3], A[:3, 3:6], A[:3, 9] = -np.eye(3), -self.radius * hat(towards), towards
+        return A
 
     def predict(self, state: So3State, stamp: float) -> So3State:
         """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
@@ -98,6 +115,8 @@ class So3Filter:
         attitude, rate, acceleration, joint, weights, process, interval, modes = kernels.predict(
             state.body, state.pending, dt, activity_of(self.settings)
         )
+        if state.centre_noise > 0.0:
+            joint[CENTRE, CENTRE] += min(dt, WANDER_S) * state.centre_noise
         return So3State(
             stamp,
             attitude,
@@ -113,10 +132,25 @@ class So3Filter:
             weights,
             process,
             readout=state.readout,
+            centre=state.centre,
+            centre_noise=state.centre_noise,
             interval=interval,
             modes=modes,
             candidates=state.candidates,
         )
+
+    def let_centre_move(self, state: So3State, proven: bool) -> So3State:
+        """Return the state with a ball whose centre has left its place and moves on.
+
+        If the discs have not proven that place yet, the rig may be wrong. An error of its radius or focal length shifts
+        the centre along the line of sight.
+        """
+        noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
+        joint[CENTRE, CENTRE] += noise * WANDER_S
+        if not proven:
+            along = _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
+            joint[np.ix_(CENTRE, CENTRE)] += np.outer(along, along)
+        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
@@ -222,7 +256,7 @@ class So3Filter:
         if updated is None:
             return None
         (motion, joint, weights, figures, modes), rows, (sightings, keep, seen, missed) = updated
-        at_frame = *motion, joint, *sightings, rows, weights, _NO_NOISE, *figures, seen, missed
+        at_frame = *motion, joint, *sightings, rows, weights, _NO_NOISE, *figures, state.centre_noise, seen, missed
         state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates)
         return self._with_new_discs(state, keep, points, rows, may_start_landmark)
 
@@ -295,7 +329,7 @@ class So3Filter:
             state.body, points.measurement(self.radius), pairs, state.pending, activity_of(self.settings)
         )
         Q, sightings = _NO_NOISE, state.sightings
-        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures
+        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise
         return So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates), log_likelihood
 
     def keep_map(

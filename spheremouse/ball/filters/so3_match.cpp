@@ -36,7 +36,7 @@ Matrix<2> place_covariance(const View<>& P, const Matrix<2, 3>& H, int k, const 
            H * (P.topLeftCorner<3, 3>() + added.topLeftCorner<3, 3>()) * H.transpose();
 }
 
-/// Return d z / d (rotation, rate, acceleration, pose, ball, readout) of the point i.
+/// Return d z / d (rotation, rate, acceleration, centre, axes, readout) of the point i.
 Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place) {
     Matrix<2, FIXED> J = Matrix<2, FIXED>::Zero();
     const double t = points.delay(i);
@@ -47,10 +47,8 @@ Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const P
         J.middleCols<3>(3) = t * place.H * left_jacobian(turn);
         J.middleCols<3>(6) = 0.5 * t * J.middleCols<3>(3);
     }
-    Matrix<3, 10> by_common;
-    by_common << View<3, 6>(points.by_pose.row(i).data()), View<3, 4>(points.by_ball.row(i).data());
-    by_common.middleCols<3>(6) -= Matrix<3>::Identity();  // the direction counts from the centre
-    J.middleCols<10>(CORE) = -place.E.transpose() * by_common / points.radius;
+    J.middleCols<3>(AXES) = -place.H;  // a turn of the axes moves the direction of the point
+    J.middleCols<3>(SHIFT) = -place.E.transpose() * points.by_centre(i);
     J.col(READOUT) = place.H * body.rate * points.row(i);
     return J;
 }
@@ -139,31 +137,34 @@ bool unambiguous(const Dense& distance, double gate) {
 }  // namespace
 
 Body read_body(nb::tuple body) {
-    members(body, 8, "body");
+    members(body, 9, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
-           number<double>(body[6], "body"),      number<int>(body[7], "body")};
+           number<double>(body[6], "body"),      vector<3>(body[7], "centre"),     number<int>(body[8], "body")};
     const nb::ssize_t m = r.discs.rows(), n = MAP_OFFSET + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
-        throw nb::type_error("joint: must be square, with 23 rows and two for each disc");
+        throw nb::type_error("joint: must be square, with 19 rows and two for each disc");
     return r;
 }
 
-Points read_points(nb::tuple points, double readout) {
+Points read_points(nb::tuple points, const Body& body) {
     members(points, 7, "points");
     const auto row = vector(points[3], "row");
-    Points r{matrix<Dynamic, 3>(points[0], "direction"),
+    Points r{Matrix<Dynamic, 3>(matrix<Dynamic, 3>(points[0], "direction")),
              matrices<3, 3>(points[1], "image_covariance"),
              vector(points[2], "delay"),
              row,
-             matrices<3, 6>(points[4], "dposition_dpose"),
-             matrices<3, 4>(points[5], "dposition_dball"),
-             number<double>(points[6], "points")};
-    for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.by_pose.rows(), r.by_ball.rows()})
+             matrices<3, 4>(points[4], "dposition_dball"),
+             number<double>(points[5], "points")};
+    for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.by_ball.rows()})
         if (n != r.size()) throw nb::type_error("points: must have one length");
-    if (readout != 0.0) r.delay += readout * row;
+    if (body.readout != 0.0) r.delay += body.readout * row;
+    const Vector<3> shift = body.centre - vector<3>(points[6], "centre");
+    if (shift.squaredNorm() > 0.0)
+        for (int i = 0; i < r.size(); i++)
+            r.direction.row(i) = (r.direction.row(i).transpose() + r.by_centre(i) * shift).normalized();
     return r;
 }
 
@@ -318,14 +319,14 @@ NewArray<double> place_sigma(nb::tuple body_, nb::handle which_, nb::handle adde
 NewArray<double> distances_(nb::tuple body_, nb::tuple points_, nb::handle which_, nb::handle added_, double allowance,
                             double gate) {
     const Body body = read_body(body_);
-    const Points points = read_points(points_, body.readout);
+    const Points points = read_points(points_, body);
     const Noise added = matrix<CORE, CORE>(added_, "added");
     return to_numpy(distances(body, points, read_indices(which_, "which", body.size()), added, allowance, gate));
 }
 
 nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows, nb::handle columns, nb::handle added_) {
     const Body body = read_body(body_);
-    const Points points = read_points(points_, body.readout);
+    const Points points = read_points(points_, body);
     const Noise added = matrix<CORE, CORE>(added_, "added");
     const auto [H, HP, z, S] = innovation(body, points, read_pairs(rows, columns, body, points), added);
     return nb::make_tuple(to_numpy(H), to_numpy(HP), to_numpy(z), to_numpy(S));
@@ -334,7 +335,7 @@ nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows, nb::h
 nb::tuple nearest_pairs_(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,
                          nb::tuple activity_) {
     const Body body = read_body(body_);
-    const Points points = read_points(points_, body.readout);
+    const Points points = read_points(points_, body);
     const Activity activity = read_activity(activity_);
     const Pending pending = read_pending(pending_, body, activity);
     const Viewer viewer = read_camera(camera);

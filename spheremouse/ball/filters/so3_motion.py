@@ -2,7 +2,8 @@
 
 The errors have this order:
 - rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²),
-- the considered parameters: pose of the camera (6), ball's centre and radius (4),
+- the ball's centre (3, m, obj),
+- the axes of obj (3, rad), which are considered,
 - the rolling shutter's time (s),
 - two for each disc in its own tangent axes (rad),
 - the reference, from whose attitude the next increment counts (3, rad, obj).
@@ -11,8 +12,8 @@ The errors have this order:
 import math
 
 KINEMATIC_DIM = 9  # rotation, rate, acceleration
-CONSIDERED_DIM = 10  # pose and ball
-READOUT = KINEMATIC_DIM + CONSIDERED_DIM  # of the rolling shutter
+AXES = KINEMATIC_DIM + 3  # of obj, after the ball's centre
+READOUT = AXES + 3  # of the rolling shutter
 MAP_OFFSET = READOUT + 1  # of the discs' errors
 CLONE_DIM = 3  # at the end: of the attitude that the next motion counts from
 

@@ -68,10 +68,10 @@ Dense transfer(const Body& body, const Dense& P, const Each& dx) {
 }  // namespace
 
 Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
-    Moved r{exp(dx.head<3>()) * body.attitude,    body.rate + dx.segment<3>(3),
-            body.acceleration + dx.segment<3>(6), Matrix<Dynamic, 3>(body.size(), 3),
-            Matrix<Dynamic, 6>(body.size(), 6),   std::move(P),
-            body.readout + dx(READOUT),           body.known};
+    Moved r{
+        exp(dx.head<3>()) * body.attitude,  body.rate + dx.segment<3>(3),       body.acceleration + dx.segment<3>(6),
+        Matrix<Dynamic, 3>(body.size(), 3), Matrix<Dynamic, 6>(body.size(), 6), std::move(P),
+        body.readout + dx(READOUT),         body.centre + dx.segment<3>(SHIFT), body.known};
     for (int k = 0; k < body.size(); k++) {
         const Disc moved = disc(body, k).moved(dx.segment<2>(MAP_OFFSET + 2 * k));
         r.discs.row(k) = moved.at;
@@ -93,6 +93,7 @@ Body Moved::body() const {
             View<Dynamic, 6>(basis.data(), basis.rows(), 6),
             View<>(P.data(), P.rows(), P.cols()),
             readout,
+            centre,
             known};
 }
 
@@ -110,7 +111,7 @@ nb::tuple move_(nb::tuple body_, nb::handle dx_) {
     const auto dx = vector(dx_, "dx");
     if (dx.size() != body.P.rows()) throw nb::type_error("dx: must have the rows of joint");
     const Moved moved = move(body, dx, body.P);
-    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout);
+    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout, to_numpy(moved.centre));
 }
 
 }  // namespace

@@ -45,7 +45,7 @@ std::optional<Updated> update_ordinary(const Body& body, const Points& points, c
 nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple sightings_,
                             nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
-    const Points points = read_points(points_, body.readout);
+    const Points points = read_points(points_, body);
     Viewer viewer = read_camera(camera);
     Sightings sightings = read_sightings(sightings_, body.known);
     const Activity activity = read_activity(activity_);

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
@@ -18,6 +18,9 @@ from spheremouse.native import kernels
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
+WANDER_S = 0.25  # s, after which a centre that moves is as likely to come back as to move on
+CENTRE = np.arange(KINEMATIC_DIM, AXES)  # errors of the centre
+COMMON = slice(KINEMATIC_DIM, READOUT)  # errors of the centre and the axes
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -37,7 +40,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
     basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
-    joint: Array  # (23 + 2l, 23 + 2l): rotation (rad, obj), rate, acceleration, pose, ball, readout, landmarks, clone
+    joint: Array  # (19 + 2l, 19 + 2l): rotation (rad, obj), rate, acceleration, centre, axes, readout, landmarks, clone
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
@@ -47,6 +50,8 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
+    centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball from its calibrated place
+    centre_noise: float = 0.0  # m²/s per axis, by which `centre` moves at random; 0 in a good bearing
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
@@ -77,11 +82,11 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, int]:
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int]:
         """The fields that predict where the camera sees each landmark, as `kernels` takes them."""
         motion = self.attitude, self.rate, self.acceleration
         known = len(self.landmarks) - len(self.candidates)
-        return *motion, self.landmarks, self.basis, self.joint, self.readout, known
+        return *motion, self.landmarks, self.basis, self.joint, self.readout, self.centre, known
 
     @property
     def pending(self) -> tuple[Array, float, Array, Modes | None]:
@@ -144,6 +149,8 @@ class So3State:
             self.manoeuvre_level,
             self.nis,
             self.readout,
+            self.centre,
+            self.centre_noise,
             self.known_seen,
             self.known_missed,
             modes=self.modes,
@@ -151,11 +158,18 @@ class So3State:
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
-        """Return the state with the reference of `other`, whose error is independent of this state's errors."""
+        """Return the state with the reference of `other`, whose error is independent of this state's errors.
+
+        If the ball's centre moves in the other state, it moves in this one.
+        """
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
-        return replace(self, joint=joint)
+        if other.centre_noise == 0.0:
+            return replace(self, joint=joint)
+        block = np.ix_(CENTRE, CENTRE)
+        joint[block] = other.joint[block] + other.centre_noise * WANDER_S * np.eye(3)
+        return replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
 
     def increment_covariance(self, turn: Array) -> Array:
         """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
@@ -199,7 +213,7 @@ def inject(
     the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
     """
     body = state.body if joint is None else (*state.body[:5], joint, *state.body[6:])
-    motion, moved, readout = kernels.move(body, dx)
+    motion, moved, readout, centre = kernels.move(body, dx)
     return So3State(
         state.stamp,
         *motion,
@@ -211,6 +225,8 @@ def inject(
         manoeuvre_level,
         nis,
         readout,
+        centre,
+        state.centre_noise,
         candidates=state.candidates,
     )
 
@@ -281,7 +297,7 @@ def with_candidates(
     if len(index) == 0:
         return state
     points = points.take(index)
-    b, k, n = points.direction, len(index), len(state.joint) - CLONE_DIM
+    b, k, n = points.seen_from(state.centre, radius), len(index), len(state.joint) - CLONE_DIM
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
     R = exp(turn) @ state.attitude
@@ -290,10 +306,10 @@ def with_candidates(
     E = R @ basis
     turning = E.transpose(0, 2, 1) @ hat(b)
     delay, along = late[:, None, None], turning @ left_jacobian(turn)
-    by_pose_and_ball = E.transpose(0, 2, 1) @ direction_jacobian(points, radius)
+    by_centre = E.transpose(0, 2, 1) @ (points.dposition_dball[:, :, :3] - np.eye(3)) / radius
     by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
     G = np.concatenate(
-        [turning @ exp(turn), delay * along, 0.5 * delay**2 * along, by_pose_and_ball, by_readout], axis=2
+        [turning @ exp(turn), delay * along, 0.5 * delay**2 * along, by_centre, -turning, by_readout], axis=2
     ).reshape(-1, MAP_OFFSET)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
@@ -320,13 +336,6 @@ def with_candidates(
 def delays(points: SpherePoints, state: So3State) -> Array:
     """Return the delay of each point's exposure, (n,) s after the stamp, with the estimated rolling shutter."""
     return points.delay + state.readout * points.row if state.readout != 0.0 else points.delay
-
-
-def direction_jacobian(points: SpherePoints, radius: float) -> Array:
-    """d direction / d (pose 6, ball's centre 3, radius), (n, 3, 10), along the surface."""
-    by_ball = points.dposition_dball.copy()
-    by_ball[:, :, :3] -= np.eye(3)  # the direction counts from the centre
-    return np.concatenate([points.dposition_dpose, by_ball], axis=2) / radius
 
 
 def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3State:
@@ -365,8 +374,12 @@ def with_false_turn(state: So3State, turn: Array) -> So3State:
     return replace(state, joint=joint, modes=(means, covariances, weights))
 
 
-def consider(joint: Array, covariance: Array) -> None:
-    """Set the covariance, (10, 10), of the considered parameters in place, uncorrelated with the other errors."""
-    joint[KINEMATIC_DIM:READOUT] = 0.0
-    joint[:, KINEMATIC_DIM:READOUT] = 0.0
-    joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = covariance
+def add_common(joint: Array, covariance: Array) -> None:
+    """Add the covariance, (6, 6), of independent errors of the centre and the axes to `joint` in place."""
+    joint[COMMON, COMMON] += covariance
+
+
+def forget_common(joint: Array) -> None:
+    """Remove the errors of the centre and the axes from `joint` in place."""
+    joint[COMMON] = 0.0
+    joint[:, COMMON] = 0.0

@@ -17,8 +17,10 @@
 namespace spheremouse::ball {
 
 // The order of the errors, `so3_motion.py`.
-constexpr int CORE = 9;             // rotation, rate, acceleration
-constexpr int READOUT = CORE + 10;  // after pose and ball
+constexpr int CORE = 9;          // rotation, rate, acceleration
+constexpr int SHIFT = CORE;      // of the ball's centre
+constexpr int AXES = SHIFT + 3;  // of obj
+constexpr int READOUT = AXES + 3;
 constexpr int MAP_OFFSET = READOUT + 1;
 constexpr int CLONE = 3;  // at the end
 

@@ -42,24 +42,24 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
 /// Rate and acceleration are a mixture of modes. The other errors are a regression on them, and its residuals have one
 /// covariance for all modes. The new covariance is that of the whole mixture.
 ///
-/// Considered parameters keep their estimate and covariance (Schmidt 1966), and so does the readout time while the rate
-/// is not significant. They are independent of the modes, so rate and acceleration are taken given these parameters.
+/// The axes keep their estimate and covariance (Schmidt 1966), and so does the readout time while the rate is not
+/// significant. Axes, readout and centre are independent of the modes, so rate and acceleration are taken given them.
 /// Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has a positive covariance. The
 /// reference keeps its estimate, since its increment was sent. Its covariance is the second moment about that estimate.
 Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity) {
     const View<>& prior = body.P;
     const int n = int(prior.rows()), k2 = int(seen.z.size()), m = 6 + k2;
-    const int held = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE;
-    Dense U = prior.middleRows(CORE, held), HU = seen.HP.middleCols(CORE, held).transpose();
-    const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, held, held));
+    const int apart = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE, held = apart - (AXES - CORE);
+    Dense U = prior.middleRows(CORE, apart), HU = seen.HP.middleCols(CORE, apart).transpose();
+    const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, apart, apart));
     solve_lower(Lc, U);
     solve_lower(Lc, HU);
-    const Dense by_held = U.middleCols<6>(3);
-    const Matrix<6> shared = by_held.transpose() * by_held;
+    const Dense by_apart = U.middleCols<6>(3);
+    const Matrix<6> shared = by_apart.transpose() * by_apart;
     Dense V = prior.middleRows<6>(3), N = seen.HP.middleCols<6>(3).transpose(), S = seen.S;
-    subtract_product(by_held, U, V);
-    subtract_product(by_held, HU, N);
-    V.middleCols(CORE, held).setZero();
+    subtract_product(by_apart, U, V);
+    subtract_product(by_apart, HU, N);
+    V.middleCols(CORE, apart).setZero();
     Effect effect;
     effect.root = lower<6>(V.middleCols<6>(3));
     solve_lower(effect.root, V);
@@ -95,12 +95,12 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     by << r.steps.mean.head<6>(), white - G.leftCols<15>() * r.steps.mean;
     r.dx = W.transpose() * by;
     r.dx.head<CORE>() += r.steps.mean.tail<CORE>();
-    r.dx.segment(CORE, held).setZero();
+    r.dx.segment(AXES, held).setZero();
 
     // P - W' W + T C T'
     const Matrix<Dynamic, 15> BC = B * r.steps.covariance;
     const Dense X = BC * B.transpose(), step = -BC.rightCols<CORE>();
-    Dense reduced = W, cross = Dense::Zero(n, CORE), with_held = prior.middleCols(CORE, held);
+    Dense reduced = W, cross = Dense::Zero(n, CORE), with_held = prior.middleCols(AXES, held);
     subtract_product(X, W, reduced);
     subtract_product(W, step, cross);
     r.P = prior;
@@ -108,14 +108,14 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     r.P.leftCols<CORE>() += cross;
     r.P.topLeftCorner<CORE, CORE>() +=
         cross.topRows<CORE>().transpose() + r.steps.covariance.bottomRightCorner<CORE, CORE>();
-    const Matrix<15, Dynamic> inner = r.steps.within * (G.leftCols<15>().transpose() * rest.middleCols(CORE, held));
+    const Matrix<15, Dynamic> inner = r.steps.within * (G.leftCols<15>().transpose() * rest.middleCols(AXES, held));
     Dense of_held = B * inner;
-    of_held.bottomRows(k2) += rest.middleCols(CORE, held);
+    of_held.bottomRows(k2) += rest.middleCols(AXES, held);
     subtract_product(W, of_held, with_held);
     with_held.topRows<CORE>() -= inner.bottomRows<CORE>();
-    with_held.middleRows(CORE, held) = prior.block(CORE, CORE, held, held);
-    r.P.middleCols(CORE, held) = with_held;
-    r.P.middleRows(CORE, held) = with_held.transpose();
+    with_held.middleRows(AXES, held) = prior.block(AXES, AXES, held, held);
+    r.P.middleCols(AXES, held) = with_held;
+    r.P.middleRows(AXES, held) = with_held.transpose();
     r.P.bottomRightCorner<CLONE, CLONE>() += r.dx.tail<CLONE>() * r.dx.tail<CLONE>().transpose();
     r.dx.tail<CLONE>().setZero();
     r.P.triangularView<Eigen::StrictlyUpper>() = r.P.transpose();
@@ -164,7 +164,7 @@ nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
     const bool certain = r.pairs == 0 || r.pairs > PAIRS_WITHOUT_MODES;
     const nb::object modes = certain ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
     return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), to_numpy(Each(at_level.row(0))),
-                          nb::make_tuple(r.steps.level, r.nis, moved.readout), modes);
+                          nb::make_tuple(r.steps.level, r.nis, moved.readout, to_numpy(moved.centre)), modes);
 }
 
 namespace {
@@ -184,15 +184,17 @@ struct Evidence {
 /// 1993). The log likelihood is then Laplace's approximation.
 std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about, const Each& mean,
                                           const Innovation& seen, int round = 0) {
-    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration, about.discs, about.basis, about.P,
-                     about.readout,  about.known};
+    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
+                     about.discs,    about.basis,       about.P,
+                     about.readout,  about.centre,      about.known};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
     if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
         Moved moved = move(about, r.dx, std::move(r.P));
         return {std::move(r), std::move(moved)};
     }
-    r.dx(READOUT) = 0.0;  // the innovation is linear in it
+    r.dx(READOUT) = 0.0;
+    r.dx.segment<3>(SHIFT).setZero();  // the innovation is linear in readout and centre
     Each there = mean - r.dx;
     const Moved at = move(about, r.dx, about.P, &there);
     Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
@@ -204,7 +206,7 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
 
 nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
-    const Points points = read_points(points_, body.readout);
+    const Points points = read_points(points_, body);
     members(pairs_, 3, "pairs");
     const Pairs pairs = read_pairs(pairs_[0], pairs_[1], body, points);
     const Noise added = matrix<CORE, CORE>(pairs_[2], "added");
@@ -224,7 +226,7 @@ NewArray<double> since_reference(nb::handle P_, nb::handle turn_) {
     const auto P = matrix(P_, "P");
     const Vector<3> turn = vector<3>(turn_, "turn");
     if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE)
-        throw nb::type_error("P: must be square, with 23 rows or more");
+        throw nb::type_error("P: must be square, with 19 rows or more");
     const Matrix<3> J = left_jacobian(turn).inverse();
     Matrix<6, 9> A = Matrix<6, 9>::Zero();  // of rotation, rate and reference in turn and rate
     A.topLeftCorner<3, 3>() = J;

@@ -60,12 +60,14 @@ def learn(
         if len(views) == _REPLAY and _changed(views[0], views[1:]):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
-    state = _without(state, still, views, tracker) if len(still) else naive
+    state = filtered_again(state, still, views, tracker) if len(still) else naive
     state, events = found(state, phase, stamp)
     return state._replace(phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _without(state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker) -> TrackState[F]:
+def filtered_again(
+    state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
+) -> TrackState[F]:
     """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
     state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())

@@ -6,10 +6,11 @@ from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import KINEMATIC_DIM, So3State, consider, with_map, without_candidates
+from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common, with_map, without_candidates
+from spheremouse.ball.phases.bearing import check_bearings, check_learning
 from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
-from spheremouse.ball.phases.recover import check_bearings, recognise, recognise_older_map, recover
+from spheremouse.ball.phases.recover import recognise, recognise_older_map, recover
 from spheremouse.ball.state import (
     SURE,
     Colours,
@@ -33,14 +34,19 @@ def _next_phase(
         case Recognising():
             return recognise(state, state.phase, stamp, tracker)
         case Learning():
-            return learn(state, state.phase, stamp, tracker, predicted)
+            state, events = learn(state, state.phase, stamp, tracker, predicted)
+            if tracker.method.exact_centres:
+                state, more = check_learning(state, tracker)
+                events = (*events, *more)
+            return state, events
         case Tracking():
-            known, state = len(state.filter.discs), follow(state, stamp, tracker, predicted)
+            before, known, state = state, len(state.filter.discs), follow(state, stamp, tracker, predicted)
             if state.older is not None and state.confirmed and len(state.filter.discs) > known:
                 on_older_map = recognise_older_map(state, stamp, tracker)
                 if on_older_map is not None:
                     return on_older_map
-            return check_bearings(state, stamp, tracker, predicted) if tracker.method.exact_centres else (state, ())
+            exact = tracker.method.exact_centres
+            return check_bearings(before, state, stamp, tracker, predicted) if exact else (state, ())
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)
 
@@ -52,11 +58,12 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     with it. Otherwise (None) the errors of pose and map are independent.
     """
     filtered = without_candidates(state.filter)
-    joint = filtered.joint.copy()
+    joint, A = filtered.joint.copy(), tracker.filter.common_by_pose_and_ball()
     if added is None:
-        consider(joint, tracker.filter.considered)
+        forget_common(joint)
+        add_common(joint, A @ tracker.filter.considered @ A.T)
     else:
-        joint[KINEMATIC_DIM : KINEMATIC_DIM + 6, KINEMATIC_DIM : KINEMATIC_DIM + 6] += added
+        add_common(joint, A[:, :6] @ added @ A[:, :6].T)
     return replace(filtered, joint=joint)
 
 

@@ -48,7 +48,7 @@ class Flicker:
 
 @dataclass(frozen=True, slots=True)
 class Lift:
-    """A lift of the ball off its bearings and back. Up and down take 0.3 s each, or a third of the time."""
+    """A ball that leaves its place, stays and comes back. Each way takes 0.2 s, or a third of the time."""
 
     start: float  # s
     end: float  # s
@@ -56,8 +56,20 @@ class Lift:
 
     def at(self, t: float) -> Array:
         """Offset of the ball's centre at time `t`, (3,) m from its place."""
-        ramp = min(0.3, (self.end - self.start) / 3.0)
+        ramp = min(0.2, (self.end - self.start) / 3.0)
         return np.array(self.shift) * smoothstep(np.array(min(t - self.start, self.end - t) / ramp))
+
+
+@dataclass(frozen=True, slots=True)
+class Sway:
+    """A ball that moves to and fro in worn bearings, from its place on."""
+
+    shift: tuple[float, float, float]  # m, obj, the farthest
+    hz: float = 2.0
+
+    def at(self, t: float) -> Array:
+        """Offset of the ball's centre at time `t`, (3,) m from its place."""
+        return np.array(self.shift) * np.sin(2.0 * np.pi * self.hz * t)
 
 
 @dataclass(frozen=True, slots=True)

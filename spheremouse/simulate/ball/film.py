@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bumped, displaced, facing
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds, option_name
 from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import (
@@ -126,6 +126,9 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
     elif options.dim is not None:
         dimming = (Dimming(0.4 * seconds, 0.6 * seconds, options.dim),)
     x, y, z = (1e-3 * v for v in options.lift_by)
+    shifts: list[Lift | Sway] = [Sway((1e-3 * options.sway, 0.0, 0.0))] if options.sway else []
+    if options.lift is not None:
+        shifts.append(Lift(options.lift, options.lift + options.lift_seconds, (x, y, z)))
     return RenderOptions(
         noise=options.noise,
         brightness=options.brightness,
@@ -133,7 +136,7 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
         hands=tuple(visits),
         flicker=None if options.flicker == 0.0 else Flicker(options.flicker, options.mains),
         limited=options.limited,
-        lifts=() if options.lift is None else (Lift(options.lift, options.lift + options.lift_seconds, (x, y, z)),),
+        lifts=tuple(shifts),
         eccentric=(1e-3 * options.eccentric / 3.0**0.5,) * 3,
     )
 

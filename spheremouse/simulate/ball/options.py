@@ -75,6 +75,7 @@ class SimulationOptions:
     lift: float | None = param(None, "s", "Time at which the ball is lifted off its bearings.", ge=0)
     lift_by: Triple = param((0.0, 30.0, 0.0), "X,Y,Z", "By how much, in mm, Y up.")
     lift_seconds: float = param(1.0, "s", "For how long.", gt=0)
+    sway: float = param(0.0, "mm", "How far the ball moves to and fro in its bearings, along X at 2 Hz.", ge=0)
     eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.", ge=0)
     disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.", ge=0)
     disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 0.2 radii beside its place.", ge=0)

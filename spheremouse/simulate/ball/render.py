@@ -18,7 +18,7 @@ from spheremouse.ball.truth import DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop, render_layers
-from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, Sway, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Profile
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.ball.surface import Points, Surface
@@ -40,7 +40,7 @@ class RenderOptions:
     hands: tuple[HandVisit, ...] = ()
     flicker: Flicker | None = None
     limited: bool = False  # grey values 16..235 in place of 0..255
-    lifts: tuple[Lift, ...] = ()
+    lifts: tuple[Lift | Sway, ...] = ()
     eccentric: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, ball: its centre from the point it turns about
 
     @property

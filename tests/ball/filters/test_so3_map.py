@@ -15,9 +15,10 @@ from spheremouse.ball.filters.so3 import CandidatePoints, Pairing, relocate
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import (
+    add_common,
     augment,
-    consider,
     drop,
+    forget_common,
     inject,
     keep_candidates,
     with_candidates,
@@ -235,12 +236,13 @@ def test_drop_forgets_discs_and_their_rows_and_no_others():
     assert drop(state, np.ones(24, dtype=bool)) is state
 
 
-def test_other_errors_of_pose_and_ball_are_independent_of_the_state():
+def test_other_errors_of_axes_and_centre_are_independent_of_the_state():
     state, _ = learnt()
     A = np.random.default_rng(8).normal(size=state.joint.shape)
-    joint, considered, span = A + A.T, np.diag(np.arange(1.0, 11.0)), slice(KINEMATIC_DIM, READOUT)
-    expected = joint.copy()
+    joint, other = A + A.T, np.diag(np.arange(1.0, 7.0))
+    expected, span = joint.copy(), np.arange(KINEMATIC_DIM, READOUT)
     expected[span] = expected[:, span] = 0.0
-    expected[span, span] = considered
-    consider(joint, considered)
+    expected[np.ix_(span, span)] = other
+    forget_common(joint)
+    add_common(joint, other)
     assert_array_equal(joint, expected)

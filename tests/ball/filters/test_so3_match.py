@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from spheremouse.ball.filters.so3_motion import KINEMATIC_DIM, MAP_OFFSET
 from spheremouse.geometry.rotation import exp, hat
 from spheremouse.native import kernels
-from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, linear, place, process
+from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, from_centre, linear, place, process
 
 
 def innovation(body, points, pairs, allowance):
@@ -25,7 +25,8 @@ def innovation(body, points, pairs, allowance):
 def distances(body, points, which, added, allowance):
     """Return squared distances, (n, k), without errors that frames have in common, or with them if beyond the gate."""
     P, result = body[5], np.full((len(points[0]), len(which)), np.inf)
-    for i, b in enumerate(points[0]):
+    for i in range(len(points[0])):
+        b = from_centre(body, points, i)
         for k, j in enumerate(which):
             z, H, noise = linear(body, points, i, j)
             p, E, _ = place(body, j, points[2][i] + body[6] * points[3][i])
@@ -179,7 +180,7 @@ def test_a_wrong_argument_is_named():
         wrong = (*body[:at], body[at][:2, ...].astype(np.float32), *body[at + 1 :])
         with pytest.raises(TypeError, match=name):
             kernels.innovation(wrong, points, *pair, process(1.0))
-    names = ["direction", "image_covariance", "delay", "row", "dposition_dpose", "dposition_dball"]
+    names = ["direction", "image_covariance", "delay", "row", "dposition_dball"]
     for at, name in enumerate(names):
         for wrong, message in ((points[at].T[..., None], name), (points[at][:-1], "one length")):
             with pytest.raises(TypeError, match=message):

@@ -49,9 +49,9 @@ def test_the_prediction_is_its_linear_model(rate, tau):
 
 def drawn(rng):
     """Draw a ball of two discs, three modes, and a player of two levels."""
-    A, discs = rng.normal(size=(27, 27)), np.eye(3)[:2]
+    A, discs = rng.normal(size=(23, 23)), np.eye(3)[:2]
     rate, acceleration = rng.normal(size=(2, 3))
-    body = exp(rng.normal(size=3)), rate, acceleration, discs, np.zeros((2, 3, 2)), A @ A.T, 0.0, 2
+    body = exp(rng.normal(size=3)), rate, acceleration, discs, np.zeros((2, 3, 2)), A @ A.T, 0.0, np.zeros(3), 2
     means, covariances, weights = rng.normal(size=(3, 6)), rng.normal(size=(3, 6, 6)), rng.dirichlet(np.ones(6))
     weights = weights.reshape(3, 2)
     pending = np.zeros((9, 9)), 0.0, weights.sum(axis=0), (means, covariances, weights)
@@ -86,7 +86,7 @@ def test_steps_fade_the_acceleration_until_the_last_part_of_a_gap(dt):
     *got, at_level, process, interval, modes = kernels.predict(body, pending, dt, activity)
     for value, expected in zip(got, motion, strict=True):
         assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
-    rest = kernels.predict_motion(*body[:3], np.zeros((27, 27)), last, np.inf, density)[3]
+    rest = kernels.predict_motion(*body[:3], np.zeros((23, 23)), last, np.inf, density)[3]
     assert_allclose(process[3:, 3:], rest[3:9, 3:9], rtol=1e-12, atol=1e-15)  # of rate and acceleration
     assert_allclose(at_level, np.exp(-dt) * weights + (1.0 - np.exp(-dt)) * usual, rtol=1e-12)
     assert interval == last

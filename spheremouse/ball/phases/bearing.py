@@ -1,0 +1,161 @@
+"""The ball's centre in its bearings: how the discs show that it moves.
+
+In a good bearing the centre stays in its place, or where the first seconds showed it, and costs nothing. If a shift of
+the centre explains places of discs that a rotation does not explain, the filter lets the centre move, as far as it has
+moved lately. A ball that is far from its usual place is lifted.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from spheremouse.ball import centre_offset
+from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
+from spheremouse.ball.events import BallLost, OutOfRound, Why
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, MAP_OFFSET
+from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
+from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
+from spheremouse.ball.phases.follow import follow
+from spheremouse.ball.phases.learn import filtered_again
+from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
+
+_DOUBT = 5e-3  # rad, of a disc that was found while the centre was thought to be in its place
+_STEADY = 1e-3  # radii/sqrt(s), below which it no longer moves
+_NOISE_TIME_S = 0.4  # time constant of the estimate of that noise
+_OFF = 4.0  # mean squared deviations of a centre that is off; at most 3 are expected of one in its place
+_OFF_TIME_S = 0.3  # time constant of that mean; hands and struts spoil a disc for less
+_NO_EVIDENCE = 0.1  # of that mean
+_LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
+_MOST = 40.0  # squared deviations that a frame counts for in that mean
+_PROVEN = 0.5  # rad: a quarter of the visible side has changed, so a wrong place would have shown
+_PAIRS = 5  # discs that show a centre: with three any shift fits, with four nearly
+_FITS = 0.002  # radii, standard deviation of the shift that a frame of that proof has
+_HOME_TIME_S = 3.0  # time constant of the usual place
+_RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
+_FRAME = 0.1  # s, the longest that one frame counts for
+
+
+def check_learning(state: TrackState[So3State], tracker: Tracker[So3Filter]) -> tuple[TrackState[So3State], Events]:
+    """Check the centre in a frame before the ball has turned. If it moves, filter the kept frames again."""
+    if not isinstance(state.phase, Learning) or not state.phase.views:
+        return state, ()
+    check, _ = _checked(state, 1.0 / 30.0, tracker)
+    if check.evidence <= _OFF:
+        return state._replace(centre=check), ()
+    moved = tracker.filter.let_centre_move(state.filter, proven=False)
+    state = filtered_again(state._replace(filter=moved), np.zeros((0, 2)), state.phase.views, tracker)
+    return state._replace(centre=CentreCheck(moved=True)), () if check.moved else (OutOfRound(),)
+
+
+def check_bearings(
+    before: TrackState[So3State],
+    state: TrackState[So3State],
+    stamp: float,
+    tracker: Tracker[So3Filter],
+    predicted: So3State,
+) -> tuple[TrackState[So3State], Events]:
+    """Check the centre in a followed frame; `before` is the state before that frame, and `predicted` its filter.
+
+    If the frame shows a shift, it is filtered again with a centre that moves.
+    """
+    if predicted.centre_noise == 0.0 and state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state):
+        return state, ()
+    radius, check, events = tracker.rig.ball.radius, state.centre, ()
+    dt = min(max(stamp - before.filter.stamp, 1e-3), _FRAME)
+    check, shift = _checked(state, dt, tracker)
+    if check.evidence > _OFF:
+        events = () if check.moved else (OutOfRound(),)
+        predicted = tracker.filter.let_centre_move(predicted, check.turned >= _PROVEN)
+        if check.turned < _PROVEN:
+            predicted = _with_doubtful_map(predicted)
+        state = follow(before, stamp, tracker, predicted)
+        check = check._replace(evidence=0.0, moved=True, turned=check.turned if check.turned >= _PROVEN else 0.0)
+    elif predicted.centre_noise > 0.0 and state.confirmed:
+        noise = _learnt_noise(predicted, state.filter, dt)
+        noise = noise if noise > (_STEADY * radius) ** 2 else 0.0
+        state = state._replace(filter=replace(state.filter, centre_noise=noise))
+    path = state.filter.centre - check.home
+    if check.turned >= _PROVEN and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
+        blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
+        blind = replace(blind, centre=check.home, centre_noise=0.0)
+        state = lost(state._replace(filter=blind, centre=check), lifted_at=stamp)
+        return state, (*events, BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0))
+    if check.turned < _PROVEN:
+        check = check._replace(home=state.filter.centre, turned=check.turned + _proof(state, shift, dt, tracker))
+    else:
+        check = check._replace(home=check.home + (1.0 - math.exp(-dt / _HOME_TIME_S)) * path)
+    return state._replace(centre=check), events
+
+
+def back_on_bearings(
+    state: TrackState[So3State], phase: Lost, filter_state: So3State, tracker: Tracker[So3Filter]
+) -> bool:
+    """Return whether a lifted ball turns about its centre again, at the attitude of its map."""
+    if phase.lifted_at is None:
+        return True
+    shift = _shift(state, filter_state, tracker)
+    return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
+
+
+def _checked(
+    state: TrackState[So3State], dt: float, tracker: Tracker[So3Filter]
+) -> tuple[CentreCheck, CentreOffset | None]:
+    """Return the check after a frame, and the offset of the centre if the frame leaves a doubt."""
+    check, f, squared, shift = state.centre, state.filter, 0.0, None
+    if _is_doubtful(state):
+        shift = _shift(state, f, tracker)
+        if shift is None:
+            return check, None
+        C = shift.covariance + f.joint[np.ix_(CENTRE, CENTRE)]
+        squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)
+        squared = min(squared, _MOST)
+    keep = math.exp(-dt / _OFF_TIME_S)
+    return check._replace(evidence=keep * check.evidence + (1.0 - keep) * squared), shift
+
+
+def _is_doubtful(state: TrackState[So3State]) -> bool:
+    """Return whether the last frame may show that the centre is off, or has to prove that it is not."""
+    f, used = state.filter, len(state.filter.used)
+    unproven = state.centre.turned < _PROVEN and float(f.rate @ f.rate) > _RESTS**2
+    return unproven or f.nis > _LARGE_NIS * used or used < len(state.points)
+
+
+def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> CentreOffset | None:
+    """Return the offset of the ball's centre by the last frame's discs, with a filter's attitude and map."""
+    sure = np.flatnonzero(filter_state.hits >= ESTABLISHED_HITS)
+    variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
+    discs = KnownDiscs(filter_state.discs[sure], variance, filter_state.attitude, filter_state.rate)
+    delay = delays(state.points, filter_state)
+    return centre_offset.shift_of(state.points, delay, discs, tracker.rig.ball.radius, 2.0 * tracker.filter.disc_angle)
+
+
+def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, tracker: Tracker[So3Filter]) -> float:
+    """Return by how much, rad, a frame proves that the ball turns about the centre."""
+    radius, lifted = tracker.rig.ball.radius, tracker.settings.loss.lifted
+    if not state.confirmed or shift is None or shift.pairs < _PAIRS or not centre_offset.fits(shift, radius, lifted):
+        return 0.0
+    speed = float(np.linalg.norm(state.filter.rate))
+    variance = shift.sigma**2 + float(np.trace(state.filter.joint[np.ix_(CENTRE, CENTRE)]))
+    return speed * dt * min(1.0, (_FITS * radius) ** 2 / max(variance, 1e-18))
+
+
+def _with_doubtful_map(state: So3State) -> So3State:
+    """Return the state with discs as far off as the shift of the centre that was not known when they were found."""
+    joint, discs = state.joint.copy(), np.arange(MAP_OFFSET, len(state.joint) - CLONE_DIM)
+    joint[discs, discs] += _DOUBT**2
+    return replace(state, joint=joint)
+
+
+def _learnt_noise(predicted: So3State, filtered: So3State, dt: float) -> float:
+    """Return the noise of the centre, m²/s, after a frame: the mean square of its steps given the frame.
+
+    This is expectation and maximisation (Shumway and Stoffer 1982) with a memory of `_NOISE_TIME_S`.
+    """
+    q, P = predicted.centre_noise * dt, predicted.joint[np.ix_(CENTRE, CENTRE)]
+    G = q * np.linalg.inv(P)
+    step = G @ (filtered.centre - predicted.centre)
+    C = q * np.eye(3) - G @ (P - filtered.joint[np.ix_(CENTRE, CENTRE)]) @ G.T
+    keep = math.exp(-dt / _NOISE_TIME_S)
+    return keep * predicted.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)
