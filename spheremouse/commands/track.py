@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 def of_recording(
     recording: Path, config: Path | None, assignments: list[str] | None, options: dict[str, Any]
 ) -> "CommandLineOverrides":
-    """Return the overrides that track a recording, or a film, with its own tracker, rig and camera, and without a map.
+    """Return the overrides that track a recording, or a film, with its own tracker, rig and camera.
 
-    `options` are settings by their keys; the output is `null` unless they have one.
+    It has a map only if `options` name one. They are settings by their keys; the output is `null` unless they have one.
     """
     from spheremouse.files.dataset.wand import is_wand
     from spheremouse.session.run_config import CommandLineOverrides
@@ -25,7 +25,7 @@ def of_recording(
     own = ("rig=null", "camera_file=null", "map=null", *(("tracker=wand",) if is_wand(recording) else ()))
     source = f"{'video' if recording.is_file() else 'dataset'}:{recording}"
     given = settings_given(assignments, config, {"source": source, "output": "null", **options})
-    return CommandLineOverrides(config, (*own, *given), no_map=True)
+    return CommandLineOverrides(config, (*own, *given), no_map=options.get("map") is None)
 
 
 def track(
@@ -39,6 +39,9 @@ def track(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Estimate each state from all frames, also the later ones (so3).")
     ] = False,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="Map of the ball, kept from run to run.")
+    ] = None,
     rig: RigFile = None,
     camera: CameraFile = None,
     config: ConfigFile = None,
@@ -47,14 +50,14 @@ def track(
 ) -> None:
     """Track a recording and send its samples to files or programs.
 
-    It is `spheremouse run --source dataset:RECORDING --no-map` without a display. The source, output, rig, camera and
-    map of a configuration file do not count. The filter uses the frames up to the present one. --smooth uses all
-    frames, also the later ones, so the angular velocity has about half the error.
+    It is `spheremouse run --source dataset:RECORDING` without a display, and with a map only by --map. The
+    source, output, rig, camera and map of a configuration file do not count. The filter uses the frames up to the
+    present one. --smooth uses all frames, also the later ones, so the angular velocity has about half the error.
     """
     from spheremouse.commands.run import run_plan
     from spheremouse.session.run_config import check_kinds, read_run_config
 
-    options = {"output": output, "rig": rig, "camera_file": camera, "wand.balls": balls}
+    options = {"output": output, "map": map_file, "rig": rig, "camera_file": camera, "wand.balls": balls}
     overrides = of_recording(recording, config, assignments, options)
     plan = read_run_config(overrides)
     check_kinds(plan)

@@ -144,6 +144,8 @@ def test_a_run_saves_its_picture_and_the_next_one_recognises_it(recording, tmp_p
     assert "the patterns' correlation is 1.00" in again
     assert f"{file}: " in invoke(app, "map", "show", file, "--output", tmp_path / "a.png")[1]
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    tracked = invoke(app, "track", recording, "--output", "null", "--map", file)[1]
+    assert "parts of the pattern of the saved map" in " ".join(tracked.split())
     found = invoke(app, "evaluate", recording, "--map", file, "--json", tmp_path / "r.json")
     assert found[0] == 0
     assert json.loads((tmp_path / "r.json").read_text())["identified_from_frame"] < 3
