@@ -96,7 +96,7 @@ def in_guest(film: Film, nights: int) -> list[str]:
         if frames > WITHIN * FPS or sent > CLOSE or real() - begun < 1.0:
             failures.append(f"night {k + 1}")
         time.clock_settime(time.CLOCK_REALTIME, time.time() + (-3600.0 if k % 2 else 3600.0))
-        lost, since = world.daemon.status().lost_count, world.stamp
+        lost, since = world.daemon.status().lost_count, max(world.shown)
         before = world.counts
         world.turn(4)
         off = np.abs(world.counts - before - world.true_counts(since)).max()
