@@ -99,7 +99,11 @@ def in_guest(film: Film, nights: int) -> list[str]:
         lost, since = world.daemon.status().lost_count, max(world.shown)
         before = world.counts
         world.turn(4)
-        off = np.abs(world.counts - before - world.true_counts(since)).max()
+        for _ in range(100):  # the last counts come late
+            off = np.abs(world.counts - before - world.true_counts(since)).max()
+            if off <= CLOSE:
+                break
+            time.sleep(0.1)
         if off > CLOSE or world.daemon.status().lost_count != lost:
             failures.append(f"clock step {k + 1}: {off:.1f} counts off")
     print(*[line for line in world.said if "slept" in line][-2:], sep="\n")
@@ -131,7 +135,12 @@ def main() -> None:
     film = Film(list(data["colour"]), list(data["grey"]), data["attitude"], replace(scene.rig(), pose=scene.pose))
     failures = in_guest(film, nights)
     print(f"nights: {nights}, failures: {', '.join(failures) or 'none'}", flush=True)
-    os._exit(1 if failures else 0)
+    time.sleep(1.0)  # the serial line's
+    with open(
+        "/dev/port", "r+b", buffering=0
+    ) as port:  # as run_in_vm.sh ends a guest; its shell may find no file any more
+        port.seek(0xF4)
+        port.write(bytes([2 if failures else 1]))
 
 
 if __name__ == "__main__":
