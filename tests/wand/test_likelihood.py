@@ -253,3 +253,14 @@ def test_refinement_equals_its_twin(view):
             moved = np.abs(peak.position - c).max() + 1e-4
             np.testing.assert_allclose(peak.position, position, atol=2e-3 * moved)
             assert np.linalg.norm(log(peak.rotation @ rotation.T)) < 2e-3 * (np.linalg.norm(log(rotation @ S.T)) + 1e-3)
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+def test_measured_edges_equal_their_twin(view, factor):
+    """Poses near the truth, and one at the edge of the picture."""
+    _, m, p, R, image = view
+    position, rotation = poses(p, R, 12, 0.5)
+    position[0, 0] += 0.5
+    for c, S in zip(position, rotation, strict=True):
+        got, expected = (f(image, c, S, DISCS, m, factor) for f in (limb.measure_edges, twins.measure_edges))
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)

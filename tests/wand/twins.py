@@ -1,6 +1,7 @@
 """Twins of the wand's native functions in NumPy: the same equations, to read and to compare with."""
 
 from dataclasses import dataclass
+from itertools import combinations, permutations
 
 import numpy as np
 from scipy.stats import multivariate_normal
@@ -212,6 +213,65 @@ def refine_once(p, R, model, fields, edges):
     return p + B @ dx[:3], exp(dx[3:6]) @ R
 
 
+# ---- outline ----
+
+
+def measure_edge(image, at, normal, first, factor):
+    """Return the place of the edge on a line across the outline, in samples of half a pixel from -6 px, or None."""
+    uv = at + (np.arange(25)[:, None] - 12) * 0.5 * factor * normal
+    j, i = uv.astype(int).T
+    a, b = (uv - np.stack([j, i], axis=1)).T[:, :, None]
+    high, low = ((1 - a) * image[k, j] + a * image[k, j + 1] for k in (i, i + 1))
+    line = (1 - b) * high + b * low
+    step = np.sum((line[4:] - line[:-4]) ** 2, axis=1)  # of the samples 2 to 22
+    step[: max(first, 4) - 2], step[19:] = 0.0, 0.0
+    n = int(np.argmax(step)) + 2
+    if step[n - 2] <= 0.0 or np.sum((line[n + 3] - line[n - 3]) ** 2) < 64.0:
+        return None
+    light = (line[n - 3 : n + 4] / 255.0) ** 2.2
+    span = light[-1] - light[0]
+    part = (light - light[0]) @ span / (span @ span)
+    rising = [k for k in range(1, 7) if part[k - 1] < 0.5 <= part[k]]
+    return (
+        n - 3 + rising[0] - 1 + (0.5 - part[rising[0] - 1]) / (part[rising[0]] - part[rising[0] - 1])
+        if rising
+        else None
+    )
+
+
+def free_depth(p, R, d, discs, radius, scale):
+    """Return the steps inward from the outline point p + d without a rim of a disc, at most 6."""
+    first = None
+    for depth in range(7):
+        cosine = max(1.0 - depth / scale, 0.0)
+        n = cosine * d / radius - np.sqrt(1.0 - cosine**2) * p / np.linalg.norm(p)
+        angle = np.arccos(np.clip(discs[:, :3] @ R.T @ n, -1.0, 1.0)) - discs[:, 3]
+        label = tuple(np.flatnonzero(angle < 0.0))
+        if np.any(np.abs(angle) < 1.0 / scale) or (depth and label != first):
+            return depth
+        first = label
+    return 6
+
+
+def measure_edges(image, p, R, discs, model, factor):
+    """Twin of `kernels.measure_edges`."""
+    found, radius = np.zeros((24, 5)), model.radius
+    d = outline(p, radius)
+    x = p + d
+    uv = np.stack(pixel(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], model.lens), axis=1)
+    scale, reach = model.lens[0] * radius / np.linalg.norm(p) / factor, 6.0 * factor + 1.0
+    for k in range(24):
+        first = max(12 - 2 * free_depth(p, R, d[k], discs, radius, scale), 0) + 3
+        inside = np.all((uv[k] > reach) & (uv[k] < np.array(image.shape[1::-1]) - 1 - reach))
+        if R[:, 2] @ d[k] < -np.cos(np.pi / 4) * radius or first > 9 or not inside:
+            continue
+        normal_ = (uv[k] - uv[(k + 12) % 24]) / np.linalg.norm(uv[k] - uv[(k + 12) % 24])
+        place = measure_edge(image.astype(float), uv[k], normal_, first, factor)
+        if place is not None:
+            found[k] = *(uv[k] + (place - 12) * 0.5 * factor * normal_), *normal_, 1.0
+    return found
+
+
 # ---- particles ----
 
 
@@ -269,3 +329,113 @@ class Proposal:
         fit += [multivariate_normal.logpdf(x[b], cov=self.peaks.covariance[b]) for b in range(k)]
         q = sum(r * np.exp(f - log_haar(x[i % k])) for i, (r, f) in enumerate(zip(responsibility, fit, strict=True)))
         return np.log(p + self.motions.birth) - np.log((1 - blind) * q + blind * p), int(np.argmax(fit)) % k
+
+
+# ---- assignment of spots ----
+
+
+def frame(a, b):
+    s = (a + b) / np.linalg.norm(a + b)
+    d = a - b - ((a - b) @ s) * s
+    return np.stack([s, d / np.linalg.norm(d), np.cross(s, d / np.linalg.norm(d))], axis=1)
+
+
+def overlap(a, b, gap):
+    if gap >= a + b or gap <= abs(a - b):
+        return 0.0 if gap >= a + b else np.pi * min(a, b) ** 2
+    u = (gap * gap + a * a - b * b) / (2 * gap)
+    v = gap - u
+    return a * a * np.arccos(u / a) - u * np.sqrt(a * a - u * u) + b * b * np.arccos(v / b) - v * np.sqrt(b * b - v * v)
+
+
+def poses_of_two(q, area, n, angle):
+    """Yield scale, centre and rotation from two spots of two discs."""
+    d = q[1] - q[0]
+    gap, chord = d @ d, 2.0 - 2.0 * n[0] @ n[1]
+    whole = area / (np.pi * angle**2)
+    square = (gap + np.sqrt(gap**2 + 4 * chord * (whole[0] - whole[1]) ** 2)) / (2 * chord)
+    if np.any(whole / square > 1.25):
+        return
+    za, zb = np.minimum(whole / square, 0.999)
+    scale, length = np.sqrt(square), np.sqrt(gap / square)
+    u = d / np.sqrt(gap)
+    along = (za**2 - zb**2 - length**2) / (2 * length)
+    aside = np.sqrt(max(1 - za**2 - along**2, 0.0))
+    for sign in (1, -1):
+        at = along * u + sign * aside * np.array([-u[1], u[0]])
+        a, b = np.array([*at, -za]), np.array([*(at + length * u), -zb])
+        yield scale, q[0] - scale * at, frame(a, b) @ frame(*n).T
+
+
+def poses_of_three(q, area, n, angle, tolerance):
+    """Yield scale, centre and rotation from three spots of three discs: two singular values of one size."""
+    D, B = (q[1:] - q[0]).T, (n[1:] - n[0]).T
+    if np.linalg.det(B.T @ B) < 1e-3:
+        return
+    M = D @ np.linalg.pinv(B)
+    U, (scale, small), _ = np.linalg.svd(M, full_matrices=False)
+    if np.any(area > 1.6 * np.pi * (scale * angle) ** 2 + 9 * tolerance**2):
+        return
+    normal_ = np.cross(*B.T) / np.linalg.norm(np.cross(*B.T))
+    for sign in (1, -1):
+        rows = (M + sign * np.sqrt(scale**2 - small**2) * np.outer(U[:, 1], normal_)) / scale
+        R = np.stack([*rows, np.cross(*rows)])
+        if np.all(n @ R[2] < -0.05):
+            yield scale, q[0] - scale * rows @ n[0], R
+
+
+def score(scale, centre, R, q, spots, near, discs, glare, tolerance):
+    found, expected_area, count, used = 0.0, 0.0, 0, set()
+    for *n, angle, colour in discs:
+        x, y, z = R @ np.array(n) * [1, 1, -1]
+        if z < 0:
+            continue
+        at, inside = centre + scale * np.array([x, y]), (scale * angle) ** 2
+        expected = np.pi * inside * z
+        hidden = [overlap(np.sqrt(expected / np.pi), g[2], np.linalg.norm(g[:2] - at)) for g in glare]
+        shown = max(expected - sum(hidden), 0.0)
+        expected_area += shown * (z > 0.25)
+        u = (at - centre) / max(np.linalg.norm(at - centre), 1e-9)
+        for s in near:
+            d, area = q[s] - at, spots[s, 2]
+            across, aside = d @ u / max(z, 0.25), d[1] * u[0] - d[0] * u[1]
+            part = area < expected and across**2 + aside**2 < inside
+            if spots[s, 3] == colour and (part or d @ d < (0.15 * scale + tolerance) ** 2):
+                used.add(s)
+                if z > 0.25:
+                    found += shown * min(area / max(shown, 1e-12), expected / area, 1.0)
+                    count += 1
+                break
+    other = [s for s in near if s not in used and np.sum((q[s] - centre) ** 2) < (0.9 * scale) ** 2]
+    expected_area += np.sum(spots[other, 2])
+    return (found / expected_area if expected_area > 0 else 0.0), count
+
+
+def assign_spots(spots, discs, glare, limits, min_score):
+    """Twin of `kernels.assign_spots` without bounds on the work: rows of score, centre and rotation, the best first."""
+    low, high, tolerance = limits
+    rows, opposite = [], discs[:, :3] @ discs[:, :3].T < -0.9
+    rays, shown = (np.column_stack([s[:, :2], np.ones(len(s))]) for s in (spots, glare))
+    for first in range(len(spots)):
+        B = ray_basis(rays[first])
+        B[:, 0] = np.array([1.0, 0.0, -spots[first, 0]]) / np.hypot(1.0, spots[first, 0])
+        B[:, 1] = np.cross(B[:, 2], B[:, 0])
+        q = (rays @ B)[:, :2] / (rays @ B)[:, 2:]
+        glare_q = np.column_stack([(shown @ B)[:, :2] / (shown @ B)[:, 2:], glare[:, 2]])
+        gap = np.sum(q**2, axis=1)
+        near = np.argsort(gap, kind="stable")[:9]
+        groups = [(first, s) for s in near[1:] if s > first and gap[s] < 4 * high**2]
+        groups += [(first, a, b) for a, b in combinations(near[1:], 2)
+                   if gap[b] <= 4 * high**2 and not (a < first and b < first)]  # fmt: skip
+        for s in groups:
+            for d in permutations(range(len(discs)), len(s)):
+                if np.any(discs[list(d), 4] != spots[list(s), 3]) or np.any(opposite[np.ix_(d, d)]):
+                    continue
+                arguments = q[list(s)], spots[list(s), 2], discs[list(d), :3], discs[list(d), 3]
+                made = poses_of_two(*arguments) if len(s) == 2 else poses_of_three(*arguments, tolerance)
+                for scale, centre, R in made:
+                    if low < scale < high:
+                        part, count = score(scale, centre, R, q, spots, near, discs, glare_q, tolerance)
+                        if part >= min_score:
+                            rows.append([part * count, *(B @ [*centre, 1.0] / scale), *(B @ R).ravel()])
+    return np.array(sorted(rows, key=lambda row: -row[0])).reshape(-1, 13)
