@@ -22,6 +22,7 @@ struct Body {
     double readout;    // s, by which the rolling shutter takes longer than the rig says
     Vector<3> centre;  // m, of the ball from its calibrated place
     int known;         // discs; the others are candidates, which no point corrects
+    bool holds;        // the centre in its place
 
     int size() const { return int(discs.rows()); }
 
@@ -89,6 +90,7 @@ struct Moved {
     double readout;
     Vector<3> centre;
     int known;
+    bool holds;
 
     Body body() const;
 };

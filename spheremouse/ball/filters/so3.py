@@ -3,8 +3,9 @@
 An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
 errors in `obj`) with an angular acceleration that lasts until the hand changes it, and discs as landmarks with their
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
-stays known and closes the loop. Pose and ball, wrong in every frame alike, are considered, not estimated (Schmidt
-1966).
+stays known and closes the loop. The camera's axes, wrong in every frame alike, are considered, not estimated (Schmidt
+1966). So is the ball's centre while it is known well and rests. A centre that moves, or that a tape measured, is
+estimated.
 """
 
 import math
@@ -51,6 +52,7 @@ _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarit
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
+_KNOWN_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -117,6 +119,7 @@ class So3Filter:
         )
         if state.centre_noise > 0.0:
             joint[CENTRE, CENTRE] += min(dt, WANDER_S) * state.centre_noise
+        known = float(joint[CENTRE, CENTRE].sum()) < (_KNOWN_CENTRE * self.radius) ** 2
         return So3State(
             stamp,
             attitude,
@@ -134,6 +137,7 @@ class So3Filter:
             readout=state.readout,
             centre=state.centre,
             centre_noise=state.centre_noise,
+            holds_centre=bool(known and state.centre_noise == 0.0),
             interval=interval,
             modes=modes,
             candidates=state.candidates,
@@ -150,7 +154,7 @@ class So3Filter:
         if not proven:
             along = _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
             joint[np.ix_(CENTRE, CENTRE)] += np.outer(along, along)
-        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise))
+        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_centre=False)
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
@@ -256,7 +260,19 @@ class So3Filter:
         if updated is None:
             return None
         (motion, joint, weights, figures, modes), rows, (sightings, keep, seen, missed) = updated
-        at_frame = *motion, joint, *sightings, rows, weights, _NO_NOISE, *figures, state.centre_noise, seen, missed
+        at_frame = (
+            *motion,
+            joint,
+            *sightings,
+            rows,
+            weights,
+            _NO_NOISE,
+            *figures,
+            state.centre_noise,
+            state.holds_centre,
+            seen,
+            missed,
+        )
         state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates)
         return self._with_new_discs(state, keep, points, rows, may_start_landmark)
 
@@ -329,7 +345,7 @@ class So3Filter:
             state.body, points.measurement(self.radius), pairs, state.pending, activity_of(self.settings)
         )
         Q, sightings = _NO_NOISE, state.sightings
-        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise
+        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_centre
         return So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates), log_likelihood
 
     def keep_map(

@@ -137,10 +137,11 @@ bool unambiguous(const Dense& distance, double gate) {
 }  // namespace
 
 Body read_body(nb::tuple body) {
-    members(body, 9, "body");
+    members(body, 10, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
-           number<double>(body[6], "body"),      vector<3>(body[7], "centre"),     number<int>(body[8], "body")};
+           number<double>(body[6], "body"),      vector<3>(body[7], "centre"),     number<int>(body[8], "body"),
+           number<int>(body[9], "body") != 0};
     const nb::ssize_t m = r.discs.rows(), n = MAP_OFFSET + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");

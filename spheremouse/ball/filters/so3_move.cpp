@@ -68,10 +68,16 @@ Dense transfer(const Body& body, const Dense& P, const Each& dx) {
 }  // namespace
 
 Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
-    Moved r{
-        exp(dx.head<3>()) * body.attitude,  body.rate + dx.segment<3>(3),       body.acceleration + dx.segment<3>(6),
-        Matrix<Dynamic, 3>(body.size(), 3), Matrix<Dynamic, 6>(body.size(), 6), std::move(P),
-        body.readout + dx(READOUT),         body.centre + dx.segment<3>(SHIFT), body.known};
+    Moved r{exp(dx.head<3>()) * body.attitude,
+            body.rate + dx.segment<3>(3),
+            body.acceleration + dx.segment<3>(6),
+            Matrix<Dynamic, 3>(body.size(), 3),
+            Matrix<Dynamic, 6>(body.size(), 6),
+            std::move(P),
+            body.readout + dx(READOUT),
+            body.centre + dx.segment<3>(SHIFT),
+            body.known,
+            body.holds};
     for (int k = 0; k < body.size(); k++) {
         const Disc moved = disc(body, k).moved(dx.segment<2>(MAP_OFFSET + 2 * k));
         r.discs.row(k) = moved.at;
@@ -94,7 +100,8 @@ Body Moved::body() const {
             View<>(P.data(), P.rows(), P.cols()),
             readout,
             centre,
-            known};
+            known,
+            holds};
 }
 
 nb::tuple moved_to_numpy(const Moved& r) {

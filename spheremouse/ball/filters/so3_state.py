@@ -52,6 +52,7 @@ class So3State:
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
     centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball from its calibrated place
     centre_noise: float = 0.0  # m²/s per axis, by which `centre` moves at random; 0 in a good bearing
+    holds_centre: bool = False  # no update changes it
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
@@ -82,11 +83,20 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int]:
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int, bool]:
         """The fields that predict where the camera sees each landmark, as `kernels` takes them."""
         motion = self.attitude, self.rate, self.acceleration
         known = len(self.landmarks) - len(self.candidates)
-        return *motion, self.landmarks, self.basis, self.joint, self.readout, self.centre, known
+        return (
+            *motion,
+            self.landmarks,
+            self.basis,
+            self.joint,
+            self.readout,
+            self.centre,
+            known,
+            self.holds_centre,
+        )
 
     @property
     def pending(self) -> tuple[Array, float, Array, Modes | None]:
@@ -151,6 +161,7 @@ class So3State:
             self.readout,
             self.centre,
             self.centre_noise,
+            self.holds_centre,
             self.known_seen,
             self.known_missed,
             modes=self.modes,
@@ -227,6 +238,7 @@ def inject(
         readout,
         centre,
         state.centre_noise,
+        state.holds_centre,
         candidates=state.candidates,
     )
 

@@ -42,14 +42,16 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
 /// Rate and acceleration are a mixture of modes. The other errors are a regression on them, and its residuals have one
 /// covariance for all modes. The new covariance is that of the whole mixture.
 ///
-/// The axes keep their estimate and covariance (Schmidt 1966), and so does the readout time while the rate is not
-/// significant. Axes, readout and centre are independent of the modes, so rate and acceleration are taken given them.
-/// Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has a positive covariance. The
-/// reference keeps its estimate, since its increment was sent. Its covariance is the second moment about that estimate.
+/// The axes keep their estimate and covariance (Schmidt 1966). So does a centre that does not move, and the readout
+/// time while the rate is not significant. Axes, readout and centre are independent of the modes, so rate and
+/// acceleration are taken given them. Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has
+/// a positive covariance. The reference keeps its estimate, since its increment was sent. Its covariance is the second
+/// moment about that estimate.
 Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity) {
     const View<>& prior = body.P;
     const int n = int(prior.rows()), k2 = int(seen.z.size()), m = 6 + k2;
-    const int apart = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE, held = apart - (AXES - CORE);
+    const int apart = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE;
+    const int first = body.holds ? SHIFT : AXES, held = apart - (first - CORE);
     Dense U = prior.middleRows(CORE, apart), HU = seen.HP.middleCols(CORE, apart).transpose();
     const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, apart, apart));
     solve_lower(Lc, U);
@@ -95,12 +97,12 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     by << r.steps.mean.head<6>(), white - G.leftCols<15>() * r.steps.mean;
     r.dx = W.transpose() * by;
     r.dx.head<CORE>() += r.steps.mean.tail<CORE>();
-    r.dx.segment(AXES, held).setZero();
+    r.dx.segment(first, held).setZero();
 
     // P - W' W + T C T'
     const Matrix<Dynamic, 15> BC = B * r.steps.covariance;
     const Dense X = BC * B.transpose(), step = -BC.rightCols<CORE>();
-    Dense reduced = W, cross = Dense::Zero(n, CORE), with_held = prior.middleCols(AXES, held);
+    Dense reduced = W, cross = Dense::Zero(n, CORE), with_held = prior.middleCols(first, held);
     subtract_product(X, W, reduced);
     subtract_product(W, step, cross);
     r.P = prior;
@@ -108,14 +110,14 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     r.P.leftCols<CORE>() += cross;
     r.P.topLeftCorner<CORE, CORE>() +=
         cross.topRows<CORE>().transpose() + r.steps.covariance.bottomRightCorner<CORE, CORE>();
-    const Matrix<15, Dynamic> inner = r.steps.within * (G.leftCols<15>().transpose() * rest.middleCols(AXES, held));
+    const Matrix<15, Dynamic> inner = r.steps.within * (G.leftCols<15>().transpose() * rest.middleCols(first, held));
     Dense of_held = B * inner;
-    of_held.bottomRows(k2) += rest.middleCols(AXES, held);
+    of_held.bottomRows(k2) += rest.middleCols(first, held);
     subtract_product(W, of_held, with_held);
     with_held.topRows<CORE>() -= inner.bottomRows<CORE>();
-    with_held.middleRows(AXES, held) = prior.block(AXES, AXES, held, held);
-    r.P.middleCols(AXES, held) = with_held;
-    r.P.middleRows(AXES, held) = with_held.transpose();
+    with_held.middleRows(first, held) = prior.block(first, first, held, held);
+    r.P.middleCols(first, held) = with_held;
+    r.P.middleRows(first, held) = with_held.transpose();
     r.P.bottomRightCorner<CLONE, CLONE>() += r.dx.tail<CLONE>() * r.dx.tail<CLONE>().transpose();
     r.dx.tail<CLONE>().setZero();
     r.P.triangularView<Eigen::StrictlyUpper>() = r.P.transpose();
@@ -186,7 +188,8 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
                                           const Innovation& seen, int round = 0) {
     const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
                      about.discs,    about.basis,       about.P,
-                     about.readout,  about.centre,      about.known};
+                     about.readout,  about.centre,      about.known,
+                     about.holds};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
     if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {

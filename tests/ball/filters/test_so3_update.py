@@ -46,12 +46,12 @@ def drawn(rng, far):
     return means, of_modes, weights
 
 
-def frame(rng, P):
+def frame(rng, P, holds=False):
     """A ball with covariance P that hardly turns, and the innovations of its discs: H, R, z and the points for them."""
     discs = rng.normal(size=(4, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     rates = 0.002 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
-    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(3), 4
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(3), 4, holds
     noise = rng.normal(size=(4, 3, 3)) * 3e-4
     row = rng.uniform(-0.5, 0.5, 4)
     points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, rng.normal(size=(4, 3, 4)), 1.0, np.zeros(3)
@@ -86,25 +86,25 @@ def corrected(body, points, dt, modes):
     return P, at_level, level, modes, log_likelihood, dx
 
 
-def each_on_its_own(means, covariances, weights, H, R, z, acceleration):
+def each_on_its_own(means, covariances, weights, H, R, z, acceleration, held):
     """Return for each hypothesis its modes before and after, its joint probability, and Schmidt's moments."""
     quiet = np.exp(-DT / BETWEEN)
     for mean, P, at_level in zip(means, covariances, weights, strict=True):
         for level, weight in enumerate(at_level):
-            yield 0, level, *schmidt(weight * (quiet if level else 1.0), mean, P, H, R, z)
+            yield 0, level, *schmidt(weight * (quiet if level else 1.0), mean, P, H, R, z, held)
             for before in INSTANTS if level and (1.0 - quiet) / len(INSTANTS) * weight > 1e-5 else ():
                 t = before * DT
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
                 moved = mean - effect @ (acceleration + mean[6:9])
                 share = (1.0 - quiet) / len(INSTANTS) * weight
-                yield level, level, *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z)
+                yield level, level, *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z, held)
 
 
-def schmidt(share, mean, P, H, R, z):
+def schmidt(share, mean, P, H, R, z, held):
     S = R + H @ P @ H.T
     K = P @ H.T @ np.linalg.inv(S)
-    K[HELD] = 0.0
+    K[held] = 0.0
     rest = np.eye(N) - K @ H
     after = rest @ P @ rest.T + K @ R @ K.T
     return share * multivariate_normal.pdf(z, H @ mean, S), mean + K @ (z - H @ mean), after
@@ -115,17 +115,19 @@ def moments(p, means, covariances):
     return mean, np.einsum("k,kij->ij", p, covariances) + (means - mean).T @ (p[:, None] * (means - mean))
 
 
+@pytest.mark.parametrize("holds", [False, True])
 @pytest.mark.parametrize("far", [0.0, 0.3, 2.0])
-def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far):
+def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds):
     """Without hypotheses below a thousandth of their mode, which are left out."""
     rng = np.random.default_rng(1)
     for _ in range(10):
         means, covariances, weights = drawn(rng, far)
         _, prior = moments(weights.sum(axis=1), means, covariances)
-        body, points, H, R = frame(rng, prior)
+        body, points, H, R = frame(rng, prior, holds)
         z = 2e-3 * rng.normal(size=8)
         new, levels, p, after, spreads = map(
-            np.array, zip(*each_on_its_own(means, covariances, weights, H, R, z, body[2]), strict=True)
+            np.array,
+            zip(*each_on_its_own(means, covariances, weights, H, R, z, body[2], APART if holds else HELD), strict=True),
         )
         for level in range(1, len(VARIANCES)):
             p[(new == level) & (p < max(1e-3 * p[new == level].sum(), 1e-8 * p.sum()))] = 0.0
@@ -216,7 +218,7 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
     rate, acceleration = rng.normal(size=(2, 3))
-    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(3), 4
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(3), 4, False
     (attitude, new_rate, new_acceleration, moved, axes), _, readout, centre = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]
