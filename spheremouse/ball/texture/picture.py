@@ -50,8 +50,10 @@ class TextureView:
     rig: Rig
     pose: Pose
     chart: Chart
-    inside: Floats  # (h, w) 1 on the ball, 0 elsewhere, of the chart
-    share: tuple[Floats, ...]  # (h, w) one over the part of each neighbourhood that is on the ball
+    inside: Image  # (h, w) 255 on the ball, 0 elsewhere, of the chart
+    share: tuple[
+        Floats, ...
+    ]  # (h, w) one over what the small and the large neighbourhood have of a ball of grey value 1
     widths: tuple[int, int]  # px of the chart, of the small and of the large neighbourhood
     direction: Floats  # (rows, columns, 3) obj, of samples every `step` px of the chart; nan: not on the ball
     nothing: Floats  # (rows, columns) 0, or -inf where a sample is not on the ball
@@ -100,25 +102,26 @@ class Alignment(NamedTuple):
     pixels: Array  # (k,) number of them, each by its weight
 
 
-def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: Floats) -> TextureView:
+def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) -> TextureView:
     """Return the constant data of a rig's ball as the camera sees it from `pose`.
 
-    `inside`, (size, size), is 1 where the chart shows the ball, else 0.
+    `inside`, (size, size), is True where the chart shows the ball.
     """
     small = 2 * max(round(0.5 * _SMALL / chart.spacing), 1) + 1
     large = 2 * round(0.5 * _LARGE / chart.spacing) + 1
-    share = _inverse(_box(_box(inside, small), small)), _inverse(_box(inside, large))
+    shown = inside.astype(np.uint8)
+    share = _inverse(_summed_twice(shown, small)), _inverse(_box(shown.astype(np.float32), large))
     step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
     direction = chart.directions()
-    whole = cv2.erode(inside, np.ones((2 * small - 1, 2 * small - 1), np.uint8))
-    direction[~(chart.facing(direction) > _FACING) | (whole == 0.0)] = np.nan
+    whole = cv2.erode(shown, np.ones((2 * small - 1, 2 * small - 1), np.uint8))
+    direction[~(chart.facing(direction) > _FACING) | (whole == 0)] = np.nan
     direction = np.ascontiguousarray(direction[::step, ::step], dtype=np.float32)
     nothing = np.where(np.isfinite(direction[..., 0]), 0.0, -np.inf).astype(np.float32)
     cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
     anchors = anchor_directions()
     anchor_of = np.argmax(cell_directions(cells // TILE) @ anchors.T, axis=-1)
     return TextureView(
-        rig, pose, chart, inside, share, (small, large), direction, nothing, step, cells, anchors, anchor_of
+        rig, pose, chart, 255 * shown, share, (small, large), direction, nothing, step, cells, anchors, anchor_of
     )
 
 
@@ -137,25 +140,30 @@ def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tu
     """Return the contrast of a chart's grey values, (h, w) on it and on the coarse chart, and the mean grey value."""
     size = coarse.chart.size
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
-    light = np.asarray(cv2.multiply(rough, coarse.inside, dtype=cv2.CV_32F))
+    light = cv2.bitwise_and(rough, coarse.inside).astype(np.float32)
     far = np.asarray(cv2.multiply(_box(light, coarse.widths[1]), coarse.share[1]) + np.float32(_DARK), np.float32)
     wide = np.asarray(cv2.resize(far, (fine.chart.size, fine.chart.size)), np.float32)
-    mean = float(light.sum() / max(coarse.inside.sum(), 1.0))
+    mean = float(light.sum() / max(np.count_nonzero(coarse.inside), 1))
     return (_contrast(fine, grey, wide), _contrast(coarse, rough, far)), mean
 
 
 def _contrast(view: TextureView, grey: Image, far: Floats) -> Floats:
-    width = view.widths[0]
-    light = cv2.multiply(grey, view.inside, dtype=cv2.CV_32F)
-    near = cv2.multiply(_box(_box(light, width), width), view.share[0])  # a neighbourhood that is nearly round
-    return np.asarray(cv2.divide(cv2.subtract(light, near), far), np.float32)
+    light = cv2.bitwise_and(grey, view.inside)
+    near = cv2.multiply(_summed_twice(light, view.widths[0]), view.share[0])
+    return np.asarray(cv2.divide(cv2.subtract(light, near, dtype=cv2.CV_32F), far), np.float32)
+
+
+def _summed_twice(picture: Image, width: int) -> Floats:
+    """Return the sums over a neighbourhood that is nearly round: sums of sums. The `width` is up to 16 px."""
+    sums = cv2.boxFilter(picture, cv2.CV_16U, (width, width), normalize=False)
+    return np.asarray(cv2.boxFilter(sums, cv2.CV_32F, (width, width), normalize=False), np.float32)
 
 
 def _box(picture: Image | Floats, width: int) -> Floats:
     return np.asarray(cv2.blur(picture, (width, width)), np.float32)
 
 
-def _inverse(part: Image) -> Floats:
+def _inverse(part: Floats) -> Floats:
     return np.asarray(1.0 / np.maximum(part, 1e-3), np.float32)
 
 

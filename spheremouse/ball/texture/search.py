@@ -89,8 +89,8 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     resample = resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
     inside = chart.inside & (resample(mask) == 255)
     parts = inside.reshape(chart.size // _COARSE, _COARSE, chart.size // _COARSE, _COARSE)
-    fine = texture_view(rig, pose, chart, inside.astype(np.float32))
-    coarse = texture_view(rig, pose, chart.reduced(_COARSE), parts.all(axis=(1, 3)).astype(np.float32))
+    fine = texture_view(rig, pose, chart, inside)
+    coarse = texture_view(rig, pose, chart.reduced(_COARSE), parts.all(axis=(1, 3)))
     if not np.isfinite(coarse.direction).any():
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     return TextureDetector(resample, fine, coarse)
