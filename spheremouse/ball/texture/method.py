@@ -155,7 +155,7 @@ def _details(detector: TextureDetector, now: TextureState) -> int:
 def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: float) -> bool:
     """Return whether most parts of the ball in view have turned since the first frame. A hand is in fewer.
 
-    The samples of a part show together what one of them does not show.
+    One sample of a faint pattern is no evidence, but all samples of a part are.
     """
     seen = level.seen._replace(mean=np.nan_to_num(level.seen.first), odds=np.zeros_like(level.seen.odds))
     nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
