@@ -15,7 +15,7 @@ from spheremouse.geometry.rotation import Array, hat
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
-_MOST = 10.0  # chi-square per degree of freedom of discs that fit a rotation; at 1 they are as exact as they say
+MISFIT = 10.0  # chi-square per degree of freedom of discs that fit a rotation; at 1 they are as exact as they say
 _MAHALANOBIS = 3.0  # standard deviations of an offset that is none
 
 
@@ -87,4 +87,4 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
     """Return True if the discs fit a rotation of a ball of `radius` m about its centre; `lifted` in radii."""
     far = found.distance > 0.5 * lifted * radius and found.mahalanobis > _MAHALANOBIS
-    return not far and found.chi2_rotation < _MOST
+    return not far and found.chi2_rotation < MISFIT

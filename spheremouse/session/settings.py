@@ -95,7 +95,7 @@ class Configuration(Settings):
         *("tracker", "source", "output", "rig", "camera_file", "map", "realtime"),
         *(f"motion.{k}" for k in ("player", "counts_per_mm", "scale_x", "scale_y", "scale_z")),
         *("motion.invert_x", "motion.invert_y", "motion.invert_z"),
-        *(f"camera.{k}" for k in ("size", "fps", "exposure_s", "gain", "focus", "zoom", "white_balance", "mains_hz")),
+        *(f"camera.{k}" for k in ("size", "fps", "exposure_s", "gain", "focus", "white_balance", "mains_hz")),
         *("pointer.rate", "pointer.smooth", "control.group"),
         *("record.folder", "record.seconds", "record.megabytes", "wand.balls", "wand.points"),
     )

@@ -106,7 +106,7 @@ def _checked(
     check, f, squared, shift = state.centre, state.filter, 0.0, None
     if _is_doubtful(state):
         shift = _shift(state, f, tracker)
-        if shift is None:
+        if shift is None or shift.chi2_with_offset > centre_offset.MISFIT:  # these are no discs of this ball
             return check, None
         C = shift.covariance + f.joint[np.ix_(CENTRE, CENTRE)]
         squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)

@@ -51,9 +51,7 @@ class TextureView:
     pose: Pose
     chart: Chart
     inside: Image  # (h, w) 255 on the ball, 0 elsewhere, of the chart
-    share: tuple[
-        Floats, ...
-    ]  # (h, w) one over the small and the large neighbourhood of a ball of grey value 1
+    share: tuple[Floats, ...]  # (h, w) one over the small and the large neighbourhood of a ball of grey value 1
     widths: tuple[int, int]  # px of the chart, of the small and of the large neighbourhood
     direction: Floats  # (rows, columns, 3) obj, of samples every `step` px of the chart; nan: not on the ball
     nothing: Floats  # (rows, columns) 0, or -inf where a sample is not on the ball
