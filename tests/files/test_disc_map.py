@@ -55,22 +55,6 @@ def good():
     return map_text(saved_map())
 
 
-@pytest.fixture
-def refusal(tmp_path):
-    """Message of a text that load_map refuses, without the path."""
-
-    def message(text):
-        path = tmp_path / "rig.map.yaml"
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        with pytest.raises(ConfigurationError) as e:
-            load_map(path)
-        assert str(e.value).startswith(str(path))
-        assert "\n" not in str(e.value)
-        return str(e.value).removeprefix(str(path))
-
-    return message
-
-
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), discs=st.integers(1, 12), thin=st.booleans())
 def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):

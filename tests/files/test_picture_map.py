@@ -9,7 +9,6 @@ import pytest
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.picture_map import PictureMap, with_known
-from spheremouse.errors import ConfigurationError
 from spheremouse.files.ball_map import SavedMap, load_map, map_text, save_map
 
 WHEN = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
@@ -31,22 +30,6 @@ def saved_map(seed=0, cells=(64, 32)):
 @pytest.fixture
 def good():
     return map_text(saved_map())
-
-
-@pytest.fixture
-def refusal(tmp_path):
-    """Message of a text that load_map refuses, without the path."""
-
-    def message(text):
-        path = tmp_path / "rig.pattern.yaml"
-        path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        with pytest.raises(ConfigurationError) as e:
-            load_map(path)
-        assert str(e.value).startswith(str(path))
-        assert "\n" not in str(e.value)
-        return str(e.value).removeprefix(str(path))
-
-    return message
 
 
 @pytest.mark.parametrize("seed", range(3))
