@@ -71,9 +71,7 @@ def intersect(detections: Centres, rig: Rig, pose: Pose, shift: Array | None = N
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
     noise = np.ascontiguousarray(detections.covariance)
-    view = view_of(rig, pose)
-    if shift is None or not shift.any():
-        return SpherePoints(*kernels.intersect(detections.centre, noise, view))
+    view, shift = view_of(rig, pose), np.zeros(3) if shift is None else shift
     return SpherePoints(*kernels.intersect(detections.centre, noise, view._replace(centre=view.centre + shift)), shift)
 
 

@@ -91,6 +91,11 @@ def align_texture(
 def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, most: int) -> _Float:
     """Return the correlation, (k,), of picture and the `most` strongest samples at attitudes, (k, 3, 3)."""
 
+TILE: int
+LEAST_WEIGHT: float
+STATIC_ODDS: float
+FACING: float  # cosine between ray and normal from which a place is learnt
+
 def learn_texture(
     samples: _Samples, picture: _Picture, known: _Narrow, chart: tuple[_Float, float, int, float], R: _Float,
     most: float, turn: int, forget: bool,

@@ -56,6 +56,11 @@ class FilterState(Protocol):
         ...
 
     @property
+    def centre(self) -> Array:
+        """(3,) m, obj, of the ball from its calibrated place."""
+        ...
+
+    @property
     def statistics(self) -> Mapping[str, float]:
         """Statistics of the last update that only this filter has."""
         ...

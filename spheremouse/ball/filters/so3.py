@@ -118,8 +118,8 @@ class So3Filter:
             state.body, state.pending, dt, activity_of(self.settings)
         )
         if state.centre_noise > 0.0:
-            joint[CENTRE, CENTRE] += min(dt, WANDER_S) * state.centre_noise
-        known = float(joint[CENTRE, CENTRE].sum()) < (_KNOWN_CENTRE * self.radius) ** 2
+            joint[CENTRE, CENTRE] += min(dt, WANDER_S) * state.centre_noise * np.eye(3)
+        known = float(np.trace(joint[CENTRE, CENTRE])) < (_KNOWN_CENTRE * self.radius) ** 2
         return So3State(
             stamp,
             attitude,
@@ -150,10 +150,10 @@ class So3Filter:
         the centre along the line of sight.
         """
         noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
-        joint[CENTRE, CENTRE] += noise * WANDER_S
+        joint[CENTRE, CENTRE] += noise * WANDER_S * np.eye(3)
         if not proven:
             along = _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
-            joint[np.ix_(CENTRE, CENTRE)] += np.outer(along, along)
+            joint[CENTRE, CENTRE] += np.outer(along, along)
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_centre=False)
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:

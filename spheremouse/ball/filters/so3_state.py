@@ -19,7 +19,7 @@ PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between n
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 WANDER_S = 0.25  # s, after which a centre that moves is as likely to come back as to move on
-CENTRE = np.arange(KINEMATIC_DIM, AXES)  # errors of the centre
+CENTRE = slice(KINEMATIC_DIM, AXES)  # errors of the centre
 COMMON = slice(KINEMATIC_DIM, READOUT)  # errors of the centre and the axes
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
@@ -178,8 +178,7 @@ class So3State:
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         if other.centre_noise == 0.0:
             return replace(self, joint=joint)
-        block = np.ix_(CENTRE, CENTRE)
-        joint[block] = other.joint[block] + other.centre_noise * WANDER_S * np.eye(3)
+        joint[CENTRE, CENTRE] = other.joint[CENTRE, CENTRE] + other.centre_noise * WANDER_S * np.eye(3)
         return replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
 
     def increment_covariance(self, turn: Array) -> Array:

@@ -62,7 +62,7 @@ def check_bearings(
     """
     if predicted.centre_noise == 0.0 and state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state):
         return state, ()
-    radius, check, events = tracker.rig.ball.radius, state.centre, ()
+    radius, events = tracker.rig.ball.radius, ()
     dt = min(max(stamp - before.filter.stamp, 1e-3), _FRAME)
     check, shift = _checked(state, dt, tracker)
     if check.evidence > _OFF:
@@ -108,7 +108,7 @@ def _checked(
         shift = _shift(state, f, tracker)
         if shift is None or shift.chi2_with_offset > centre_offset.MISFIT:  # these are no discs of this ball
             return check, None
-        C = shift.covariance + f.joint[np.ix_(CENTRE, CENTRE)]
+        C = shift.covariance + f.joint[CENTRE, CENTRE]
         squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)
         squared = min(squared, _MOST)
     keep = math.exp(-dt / _OFF_TIME_S)
@@ -137,7 +137,7 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
     if not state.confirmed or shift is None or shift.pairs < _PAIRS or not centre_offset.fits(shift, radius, lifted):
         return 0.0
     speed = float(np.linalg.norm(state.filter.rate))
-    variance = shift.sigma**2 + float(np.trace(state.filter.joint[np.ix_(CENTRE, CENTRE)]))
+    variance = shift.sigma**2 + float(np.trace(state.filter.joint[CENTRE, CENTRE]))
     return speed * dt * min(1.0, (_FITS * radius) ** 2 / max(variance, 1e-18))
 
 
@@ -153,9 +153,9 @@ def _learnt_noise(predicted: So3State, filtered: So3State, dt: float) -> float:
 
     This is expectation and maximisation (Shumway and Stoffer 1982) with a memory of `_NOISE_TIME_S`.
     """
-    q, P = predicted.centre_noise * dt, predicted.joint[np.ix_(CENTRE, CENTRE)]
+    q, P = predicted.centre_noise * dt, predicted.joint[CENTRE, CENTRE]
     G = q * np.linalg.inv(P)
     step = G @ (filtered.centre - predicted.centre)
-    C = q * np.eye(3) - G @ (P - filtered.joint[np.ix_(CENTRE, CENTRE)]) @ G.T
+    C = q * np.eye(3) - G @ (P - filtered.joint[CENTRE, CENTRE]) @ G.T
     keep = math.exp(-dt / _NOISE_TIME_S)
     return keep * predicted.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)

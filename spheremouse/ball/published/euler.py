@@ -71,6 +71,11 @@ class EulerState:
         return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
 
     @property
+    def centre(self) -> Array:
+        """(3,) m: the publication has the ball in its calibrated place."""
+        return np.zeros(3)
+
+    @property
     def statistics(self) -> dict[str, float]:
         """Nothing: the publication has no test of the innovations."""
         return {}

@@ -168,6 +168,10 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
 }  // namespace
 
 void bind_learn(nb::module_& m) {
+    m.attr("TILE") = TILE;
+    m.attr("LEAST_WEIGHT") = LEAST_WEIGHT;
+    m.attr("STATIC_ODDS") = STATIC_ODDS;
+    m.attr("FACING") = FACING;
     m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
           arg("most"), arg("turn"), arg("forget"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),

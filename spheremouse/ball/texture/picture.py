@@ -24,10 +24,10 @@ from spheremouse.native import kernels
 
 Floats = NDArray[np.float32]
 
-STATIC_ODDS = -3.0  # log odds below which a sample does not turn with the ball, as `picture.h` has it
+STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
 _NOISE = 0.01  # of a contrast, without image noise: shading
-TILE = 8  # cells along the edge of a tile
-LEAST_WEIGHT = 0.08  # of a known cell, as `picture.h` has it
+TILE = kernels.TILE  # cells along the edge of a tile
+LEAST_WEIGHT = kernels.LEAST_WEIGHT  # of a known cell: one oblique view
 HALF = 1.1  # half the width of a face, as `picture.h` has it
 _CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
 FINEST, COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
@@ -40,7 +40,6 @@ _APART = 3.0  # standard deviations of a contrast, by which what turns and what 
 DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _OF_LATE = 0.2  # of a frame in the mean contrast
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
-_FACING = 0.3  # cosine between ray and normal from which a pixel shows the ball well
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +111,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
     direction = chart.directions()
     whole = cv2.erode(shown, np.ones((2 * small - 1, 2 * small - 1), np.uint8))
-    direction[~(chart.facing(direction) > _FACING) | (whole == 0)] = np.nan
+    direction[~(chart.facing(direction) > kernels.FACING) | (whole == 0)] = np.nan
     direction = np.ascontiguousarray(direction[::step, ::step], dtype=np.float32)
     nothing = np.where(np.isfinite(direction[..., 0]), 0.0, -np.inf).astype(np.float32)
     cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))

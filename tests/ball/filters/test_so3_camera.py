@@ -226,7 +226,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
     assert_allclose(state.joint[rest, COMMON] / cross, batch / cross, atol=0.02)
     assert_allclose(state.joint[AXES:READOUT, AXES:READOUT], prior[3:, 3:])
     assert_allclose(
-        state.joint[np.ix_(CENTRE, CENTRE)] / np.outer(spread[:3], spread[:3]),
+        state.joint[CENTRE, CENTRE] / np.outer(spread[:3], spread[:3]),
         posterior[:3, :3] / np.outer(spread[:3], spread[:3]),
         atol=0.02,
     )
