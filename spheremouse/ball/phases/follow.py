@@ -13,19 +13,16 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.associate import identify
 from spheremouse.ball.detect import lookalikes as static
-from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.detect.windows import Motion
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State, keep_candidates
 from spheremouse.ball.state import F, Tracker, TrackState, no_points
 from spheremouse.geometry.rotation import rotation_between
-from spheremouse.tracker import Frame, Status
+from spheremouse.tracker import Status
 
 _AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
-_SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
+SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
 _JUMP = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, a cover on the ball hides more
 _TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
@@ -35,52 +32,12 @@ _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitu
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 
 
-def detect_everywhere(
-    state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState
-) -> tuple[Detections, SearchState]:
-    """Return the disc candidates of the whole image, and the search as it was."""
-    return tracker.detector.with_projection(state.colours.projection).detect(frame.image), state.search
-
-
-def detect_discs(
-    state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
-) -> tuple[Detections, SearchState]:
-    """Return the disc candidates of a frame, and the state of the search.
-
-    While the attitude is confirmed, the detector measures each disc of the map in a window at its predicted place, and
-    searches a part of the rest of the ball. Until the ball turns, or if the detector sees too few of the discs of the
-    frame before, it searches all of the ball.
-    """
-    detector: Any = tracker.detector.with_projection(
-        state.colours.projection
-    )  # a DiscDetector, as `build` chose this method
-    tracking, before = state.status is Status.TRACKING, state.search
-    if not (tracking and state.known_to_turn):  # bolts, or another ball
-        before = before._replace(size=0.0, contrast=0.0)
-    if not tracking or state.confirmed_at != state.filter.stamp:
-        return detector.detect(frame.image, before.contrast), before
-    which = tracker.filter.visible(predicted)
-    known = np.concatenate(
-        [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
-    )  # discs, and what may be one
-    seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    seen_enough = max(_SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
-    least = seen_enough if state.known_to_turn else len(known) + 1
-    motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout)
-    found, search = detector.follow(
-        frame.image, before, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
-    )
-    if len(found) < least:
-        found = found.joined_apart(detector.detect(frame.image, search.contrast), 0.5 * detector.model.diameter)
-    return found, search
-
-
 def follow(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
-    if state.filter.known_seen < _SECURE and is_covered(state, predicted, tracker):
+    if state.filter.known_seen < SECURE and is_covered(state, predicted, tracker):
         return without_effect(before, tracker, predicted)
     if all_are_discs(state):
         return state

@@ -8,7 +8,8 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common, with_map, without_candidates
 from spheremouse.ball.phases.bearing import check_bearings, check_learning
-from spheremouse.ball.phases.follow import detect_discs, detect_everywhere, follow, is_covered
+from spheremouse.ball.phases.discs import detect_discs, detect_everywhere
+from spheremouse.ball.phases.follow import follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
 from spheremouse.ball.phases.recover import recognise, recognise_older_map, recover
 from spheremouse.ball.state import (

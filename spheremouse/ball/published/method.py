@@ -7,7 +7,8 @@ camera or a rolling shutter.
 
 import numpy as np
 
-from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, detect_everywhere, update_filter
+from spheremouse.ball.phases.discs import detect_everywhere
+from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, update_filter
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.recover import seen_since, start_new_map
 from spheremouse.ball.published.euler import EulerState

@@ -1,12 +1,8 @@
 """Mask the pictures of recordings and snapshots so that they show the ball and the targets, and no people.
 
 A masked recording keeps the pixels that the tracker reads while it has the camera's pose. Tracking it therefore gives
-the same result bit for bit. The margins are the reach of the filters:
-
-- around the ball's outline, within the ball's bounding box, one and a half discs: the reach of the closing that
-  estimates the brightness of the ball beside a disc;
-- in that box, also for a ball with a pattern, sixteen lines, one pixel high, for measuring the noise of the picture;
-- around each target the patch that monitors the camera, a few pixels for a push, and the margin of the ring detector.
+the same result bit for bit. It keeps the pixels that the detector reads (`ball/detect/support.py`). Around each target
+it keeps the patch that monitors the camera, a few pixels for a push, and the margin of the ring detector.
 
 A search of all targets by their colours, after a large bump, reads the whole picture. It does not work on a masked
 recording.
@@ -15,13 +11,10 @@ recording.
 from dataclasses import replace
 from typing import cast
 
-import cv2
-import numpy as np
-
 from spheremouse.ball import camera_watch as watch
 from spheremouse.ball.build import build, follows_pattern
-from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.discs import DiscDetector
+from spheremouse.ball.detect.support import disc_support, pattern_support
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.files.dataset.write import device_description
@@ -33,8 +26,6 @@ from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import Subject
 
-_NOISE_LINES = 16  # by which the detector measures the noise
-_FIT = 4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
 _PUSHED = 3  # px of a target's reduced patch: its search window in an ordinary check (watch)
 _RINGS = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)
 
@@ -45,49 +36,16 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
     It holds for a camera pose and a tracker with these settings. Raises PoseError if the ball is not in view.
     """
     if follows_pattern(rig, settings):
-        return _with_targets(_of_pattern(rig, pose), rig, pose)
+        return _with_targets(pattern_support(rig, pose), rig, pose)
     default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
     detector = cast(DiscDetector, build(rig, pose, default).detector)  # that of "default"
-    return _with_targets(_around_ball(detector, clipped=settings.detector == "default"), rig, pose)
-
-
-def _of_pattern(rig: Rig, pose: Pose) -> Image:
-    """Return a mask, (h, w), of pixels that are read for the ball's pattern."""
-    mask = clear_mask(rig, pose)
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return _with_noise_lines(mask, slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    return _with_targets(disc_support(detector, clipped=settings.detector == "default"), rig, pose)
 
 
 def _with_targets(mask: Image, rig: Rig, pose: Pose) -> Image:
     for left, top, right, bottom in _target_boxes(rig, pose):
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
     return mask
-
-
-def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
-    """Return a mask, (h, w), of pixels that the disc detector reads; `clipped`: it reads none outside its window."""
-    f = detector.lattice.reduction
-    rows, columns = detector.window
-    closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
-    smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1
-    wide = _grown(detector.model.mask, f * (closing + smoothing + 1))
-    mask = _grown(detector.model.mask, f * _FIT)
-    if clipped:
-        mask[detector.window] |= wide[detector.window]
-    else:
-        mask |= wide
-    return _with_noise_lines(mask, rows, columns)
-
-
-def _with_noise_lines(mask: Image, rows: slice, columns: slice) -> Image:
-    step = max((rows.stop - rows.start) // _NOISE_LINES, 1)
-    mask[rows.start + step // 2 : rows.stop : step, columns] = 255
-    return mask
-
-
-def _grown(mask: Image, by: int) -> Image:
-    side = 2 * by + 1
-    return np.asarray(cv2.dilate(mask, np.ones((side, side), np.uint8)), dtype=np.uint8)
 
 
 def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
