@@ -180,7 +180,7 @@ def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, lis
         state, estimate, events = step(state, frame, tracker)
         took = time.perf_counter() - began
         kept.append(frame.sequence)
-        said.append(Said(messages.line(events), estimate, took))
+        said.append(Said(messages.line(events, tracker.detector.words), estimate, took))
     return tracker, [truths[k] for k in kept], said
 
 

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.camera_watch import CameraMonitor
-from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detector import Detector
 from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
@@ -32,18 +33,6 @@ F = TypeVar("F", bound=FilterState)
 K = TypeVar("K", bound=Filter[Any])
 
 
-class Detector(Protocol):
-    """Interface of a disc detector."""
-
-    def detect(self, image: Image) -> Detections:
-        """Return the disc candidates in an image (h, w, 3) BGR or (h, w)."""
-        ...
-
-    def with_projection(self, projection: Projection) -> "Detector":
-        """Return the detector with a projection of colours; a detector without projections stays the same."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Tracker(Generic[K]):
     """The constant parts of tracking: device, camera pose, and stages with their settings."""
@@ -52,19 +41,17 @@ class Tracker(Generic[K]):
     rig: Rig
     pose: Pose
     detector: Detector
+    detector_data: Any  # of `Detector.prepare`
     filter: K
     method: "Method"
 
 
 class Method(NamedTuple):
-    """The steps of tracking that depend on the filter."""
+    """The steps of tracking that depend on the filter, and on how a detector learns the ball."""
 
     keeps_map: bool  # also of discs out of view: to recognise a ball, and to notice a moved camera or a lifted ball
-    keeps_search: bool  # the detector's state, at another camera pose and with other settings
-    exact_centres: bool  # the detector's covariances are right, so the discs can show a lifted ball
     to_map: Callable[["TrackState"], BallMap | None]  # to be saved; None while too little is known
     recall: Callable[["TrackState", BallMap], "TrackState"]  # the state that begins with a saved map
-    detect: Callable[["TrackState", Frame, Tracker, Any], tuple[Detections, Any]]  # with the predicted filter
     next_phase: Callable[["TrackState", float, Tracker, Any], tuple["TrackState", Events]]  # after a frame's points
     at_new_pose: Callable[["TrackState", Tracker, Array | None], Any]  # the filter, after the camera moved
     update_all: Callable[..., "TrackState"]  # after a frame in which every point may be a disc: `phases.learn`

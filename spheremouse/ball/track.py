@@ -118,8 +118,8 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     """
     before = current(state, tracker)
     anew = build(tracker.rig, before.pose, settings, before)
-    keeps = anew.method.keeps_search or before.method.keeps_search
-    other_picture = keeps and anew.detector is not before.detector
+    keeps = anew.detector.keeps_state or before.detector.keeps_state
+    other_picture = keeps and anew.detector_data is not before.detector_data
     if settings.tracker != tracker.settings.tracker or other_picture:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     others = tuple(h._replace(state=anew.filter.adopt(h.state, tracker.filter)) for h in state.alternatives)
@@ -130,7 +130,7 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
 
 def _kept_search(state: TrackState, anew: Tracker) -> Any:
     """Return the state of the detector for another tracker."""
-    return state.search if anew.method.keeps_search else SearchState()
+    return state.search if anew.detector.keeps_state else SearchState()
 
 
 def _stages(
@@ -140,7 +140,7 @@ def _stages(
     before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
-    detections, search = tracker.method.detect(state, frame, tracker, predicted)
+    detections, search = tracker.detector.detect(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
     done = colours.refined(done, frame, tracker)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
-from spheremouse.ball.build import build, follows_pattern
+from spheremouse.ball.build import build
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
@@ -73,8 +73,7 @@ def run_ball(
 
 def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> list[dict[str, Any]]:
     """Return the report of the filter, and with `smooth` that of the smoother, whose dataset ends in `, smoothed`."""
-    pattern = follows_pattern(run.tracker.rig, run.tracker.settings)
-    discs = None if pattern else recording.discs  # the parts of a pattern are none
+    discs = recording.discs if run.tracker.detector.sees_discs else None
     truth = _in_axes_of(run.tracker.rig, recording)
     reference = Reference(truth, discs, recording.pose, recording.truth_directions)
     histories = {"": run.history}

@@ -1,6 +1,5 @@
 """Sentences for people about the ball in its frame: events, missing discs, and targets."""
 
-import re
 from collections.abc import Iterable
 from typing import assert_never, cast
 
@@ -10,6 +9,7 @@ from spheremouse.ball import events
 from spheremouse.ball.detect.diagnosis import Absence, Cause
 from spheremouse.ball.detect.projection import GREY, NEGATIVE
 from spheremouse.ball.detect.refused import Bound, Refused
+from spheremouse.ball.detector import Words
 from spheremouse.ball.events import BallLost, Doubt, Why
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
@@ -32,11 +32,11 @@ _Ball = (
 
 
 _DOUBTS = {
-    Doubt.NO_DISC: "no disc in view",
-    Doubt.UNKNOWN: "no disc in view is where one of the map should be",
-    Doubt.ONE_DISC: "one known disc in view does not determine the rotation about it",
-    Doubt.UNCERTAIN: "the discs in view do not agree on one turn of the ball",
-    Doubt.SEVERAL: "the discs in view leave more than one attitude possible",
+    Doubt.NO_DISC: "no {part} in view",
+    Doubt.UNKNOWN: "no {part} in view is where one of the map should be",
+    Doubt.ONE_DISC: "one known {part} in view does not determine the rotation about it",
+    Doubt.UNCERTAIN: "the {parts} in view do not agree on one turn of the ball",
+    Doubt.SEVERAL: "the {parts} in view leave more than one attitude possible",
     Doubt.CAMERA: "the camera is moving",
 }
 
@@ -87,14 +87,14 @@ _REFUSALS = {  # reason, short enough for a picture, and remedy
 }
 
 
-def line(happened: Iterable[Event]) -> str:
+def line(happened: Iterable[Event], words: Words) -> str:
     """Return the log line of a frame's events, each with its new state; empty if there are none."""
-    return "; ".join(f"{_state(e)}{sentence(e)}" for e in happened)
+    return "; ".join(f"{_state(e)}{sentence(e, words)}" for e in happened)
 
 
-def reason(happened: Iterable[Event]) -> str:
+def reason(happened: Iterable[Event], words: Words) -> str:
     """Return the sentences of events for a line that has the state beside it."""
-    return "; ".join(f"{_state(e) if k else ''}{sentence(e)}" for k, e in enumerate(happened))
+    return "; ".join(f"{_state(e) if k else ''}{sentence(e, words)}" for k, e in enumerate(happened))
 
 
 def _state(event: Event) -> str:
@@ -107,34 +107,35 @@ def _state(event: Event) -> str:
             return ""
 
 
-def sentence(event: Event) -> str:
-    happened = cast(_Ball, event)
+def sentence(event: Event, words: Words) -> str:
+    """Return an event in the words of the detector that saw the ball."""
+    happened, parts = cast(_Ball, event), words.parts
     match happened:
         case events.Found(discs):
-            return f"{discs} discs in view"
+            return f"{discs} {parts} in view"
         case events.Turned(masked):
-            more = f"; {masked} look-alike{'s' if masked > 1 else ''} masked" if masked else ""
-            return f"the ball turns{more}"
+            more = words.masked.format(n=masked, s="s" if masked > 1 else "")
+            return f"the ball turns; {more}" if masked else "the ball turns"
         case events.Recognised(discs, saved=True):
-            return f"recognised by {discs} discs of the saved map"
+            return f"recognised by {discs} {parts} of the saved map"
         case events.Recognised(discs, older=True):
-            return f"the attitude is that of the earlier map again, recognised by {discs} discs"
+            return f"the attitude is that of the earlier map again, recognised by {discs} {parts}"
         case events.Recognised(discs):
-            return f"tracking again: attitude kept, recognised by {discs} discs"
+            return f"tracking again: attitude kept, recognised by {discs} {parts}"
         case BallLost():
-            return _why(happened)
+            return _why(happened, words)
         case events.MotionWithheld(doubt):
-            return f"motion withheld: {_DOUBTS[doubt]}"
+            return f"motion withheld: {_doubt(doubt, words)}"
         case events.MotionReleased(seconds, angle):
             return f"motion goes on: the {np.degrees(angle):.0f}° of {seconds:.1f} s are made up for at a hand's pace"
         case events.NewMap(saved=True):
-            return "the saved map does not fit: another ball, or its discs were moved; the tracker begins a new map"
+            return f"the saved map does not fit: another ball, or {words.altered}; the tracker begins a new map"
         case events.NewMap():
             again = "a new map begins at the last known attitude; motion that the camera did not see is not counted"
             return f"tracking again: {again}"
         case events.OutOfRound():
             why = "it is out of round, the camera was moved, or the rig is wrong"
-            return f"the discs do not fit a ball that turns about its centre: {why}"
+            return f"the {parts} do not fit a ball that turns about its centre: {why}"
         case events.ReadoutKnown(readout):
             return (
                 f"rolling shutter: {1e3 * readout:.1f} ms for all rows (set readout_s: {readout:.4f} in the rig file)"
@@ -150,29 +151,20 @@ def sentence(event: Event) -> str:
             assert_never(happened)
 
 
-def of_pattern(text: str) -> str:
-    """Return a sentence about discs for a ball that is followed by its pattern."""
-    text = re.sub(r"\d+ look-alikes? masked", "what stands still is masked", text)
-    text = text.replace("its discs were moved", "it was painted")
-    return text.replace("discs", "parts of the pattern").replace("disc", "part of the pattern")
-
-
-def withheld(seconds: float, doubt: Doubt) -> str:
+def withheld(seconds: float, doubt: Doubt, words: Words) -> str:
     """Explain why a tracked ball moves nothing, and for how long."""
-    return f"motion withheld for {seconds:.1f} s: {_DOUBTS[doubt]}"
+    return f"motion withheld for {seconds:.1f} s: {_doubt(doubt, words)}"
 
 
-def no_discs(seen: int, seconds: float, absence: Absence) -> str:
-    """Return the reason why a ball shows no discs, or too few, since when, and the remedy."""
-    found = f"only {seen} disc{'s' if seen > 1 else ''} found" if seen else "no disc found"
+def _doubt(doubt: Doubt, words: Words) -> str:
+    return _DOUBTS[doubt].format(part=words.part, parts=words.parts)
+
+
+def absent(seen: int, seconds: float, absence: Absence, words: Words) -> str:
+    """Return the reason why a ball shows no points, or too few, since when, and the remedy."""
+    found = f"only {seen} {words.part if seen == 1 else words.parts} found on the ball" if seen else words.absent
     problem, hint = why_absent(absence)
-    return f"{found} on the ball for {seconds:.0f} s: {problem}; {hint}"
-
-
-def no_pattern(seconds: float, absence: Absence) -> str:
-    """Return the reason why a ball is not followed by its pattern, since when, and the remedy."""
-    problem, hint = why_absent(absence)
-    return f"the ball is not followed for {seconds:.0f} s: {problem}; {hint}"
+    return f"{found} for {seconds:.0f} s: {problem}; {hint}"
 
 
 def why_absent(absence: Absence) -> tuple[str, str]:
@@ -191,10 +183,11 @@ def _in_colours(weights: tuple[float, float, float]) -> str:
     return f"the discs differ from the ball in colour (weights of blue, green, red: [{named}])"
 
 
-def _why(lost: BallLost) -> str:
+def _why(lost: BallLost, words: Words) -> str:
     match lost.why:
         case Why.UNSEEN:
-            seen = f"{lost.discs} discs in view, none where it should be" if lost.discs else "no disc in view"
+            seen = f"{lost.discs} {words.parts} in view, none where it should be"
+            seen = seen if lost.discs else f"no {words.part} in view"
             return f"{seen} for {lost.figure:.1f} s"
         case Why.GAP:
             return f"no frame for {lost.figure:.1f} s"

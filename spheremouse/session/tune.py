@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.build import build, follows_pattern
+from spheremouse.ball.build import build, detector_of
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.evaluation.run import History, Run
 from spheremouse.evaluation.tuning import (
@@ -144,7 +144,7 @@ def tune(
     the same result. Raises ConfigurationError without Optuna, for another tracker, and for a recording that is too
     short.
     """
-    if follows_pattern(recording.rig, settings):
+    if not detector_of(recording.rig, settings).sees_discs:
         raise ConfigurationError(
             f"{recording.path}: tune searches settings of discs, and this ball is followed by its pattern",
             "give a recording of a ball with discs, or leave the settings at their defaults",

@@ -29,7 +29,7 @@ def trial(there):
 
 def test_the_same_discs_are_seen_as_in_pictures_and_as_well(there):
     renderer, rng = Renderer(there.scene, RenderOptions(noise=world_module.NOISE)), np.random.default_rng(0)
-    detector = world_module.tracker_for("so3", there).detector
+    detector = world_module.tracker_for("so3", there).detector_data
     motion = SpedUp(world_module.random_axis(1), 1.0, 1.0)
     matched, seen, found, claims = 0, 0, 0, []
     for t in np.arange(1.0, 13.0):

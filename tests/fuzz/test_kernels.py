@@ -122,7 +122,7 @@ def run() -> None:
     image, mask = frames[0].image[200:260, 280:360].copy(), np.full((60, 80), 255, np.uint8)
     place = np.array([[40.2, 30.1], [20.0, 20.0]])
     expected = place, np.tile(np.diag([36.0, 25.0]), (2, 1, 1)), np.zeros((2, 7))
-    settings = tracker.detector.model.fit
+    settings = tracker.detector_data.model.fit
     kernels.fit_discs(image, mask, expected, 2.0, settings, settings.contrast, 0.0)
     bounds = np.array([[0, 30, 0.3, 1, 20, 255]], np.float32)
     kernels.grow_glare(image, bounds, np.ones((9, 8), np.float32), 20, 30, 0.5, mask.copy())

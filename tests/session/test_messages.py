@@ -10,14 +10,16 @@ from spheremouse.ball import events
 from spheremouse.ball.detect.diagnosis import Absence, Cause
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Doubt, Why
+from spheremouse.ball.phases.discs import Discs
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session.directions import of_ball, of_hand
-from spheremouse.session.messages import line, no_discs, reason, refusal, remedy, why_absent, withheld
+from spheremouse.session.messages import absent, line, reason, refusal, remedy, why_absent, withheld
 from spheremouse.session.screen import Tally
 from spheremouse.session.timing import Arrivals
 from spheremouse.tracker import Event, unknown
 
+WORDS = Discs().words
 SENTENCES = {
     events.Found(7): "tracking: 7 discs in view",
     events.Turned(1): "the ball turns; 1 look-alike masked",
@@ -46,7 +48,7 @@ FIXED = (events.NewMap(), events.NewMap(saved=True), events.OutOfRound(), events
 
 @pytest.mark.parametrize("event", SENTENCES, ids=repr)
 def test_the_figures_of_an_event_are_in_its_sentence(event):
-    assert line([event]) == SENTENCES[event]
+    assert line([event], WORDS) == SENTENCES[event]
 
 
 def test_every_event_has_a_sentence_of_its_own():
@@ -54,11 +56,11 @@ def test_every_event_has_a_sentence_of_its_own():
     every = {e for e in vars(events).values() if isinstance(e, type) and issubclass(e, Event) and e is not Event}
     assert {type(event) for event in shown} == every
     assert {event.why for event in shown if isinstance(event, BallLost)} == set(Why)
-    assert len({line([event]) for event in shown} - {""}) == len(shown)
+    assert len({line([event], WORDS) for event in shown} - {""}) == len(shown)
 
 
 def test_motion_withheld_now_is_told_with_its_time():
-    assert withheld(0.42, Doubt.ONE_DISC) == (
+    assert withheld(0.42, Doubt.ONE_DISC, WORDS) == (
         "motion withheld for 0.4 s: one known disc in view does not determine the rotation about it"
     )
 
@@ -66,11 +68,11 @@ def test_motion_withheld_now_is_told_with_its_time():
 def test_several_are_one_line_and_beside_the_state_it_is_not_said_again():
     happened = (BallLost(Why.UNSEEN, 0.3), events.TargetsHidden())
     hidden = "no disc in view for 0.3 s; the targets are out of sight: if the camera was moved, initialise again"
-    assert line(happened) == f"lost: {hidden}"
-    assert reason(happened) == hidden
-    assert line((BallLost(Why.UNSEEN, 0.3, 3), events.Turned(0))).startswith("lost: 3 discs")
-    assert reason((events.Turned(0), events.Found(5))) == "the ball turns; tracking: 5 discs in view"
-    assert line(()) == reason(()) == ""
+    assert line(happened, WORDS) == f"lost: {hidden}"
+    assert reason(happened, WORDS) == hidden
+    assert line((BallLost(Why.UNSEEN, 0.3, 3), events.Turned(0)), WORDS).startswith("lost: 3 discs")
+    assert reason((events.Turned(0), events.Found(5)), WORDS) == "the ball turns; tracking: 5 discs in view"
+    assert line((), WORDS) == reason((), WORDS) == ""
 
 
 def test_every_cause_and_every_bound_has_words_and_a_remedy():
@@ -82,11 +84,11 @@ def test_every_cause_and_every_bound_has_words_and_a_remedy():
 
 
 def test_a_ball_without_discs_in_words():
-    assert no_discs(0, 1.03, Absence(Cause.SIZE, 160.0, 4, 0.8, 9.2, 14.6)) == (
+    assert absent(0, 1.03, Absence(Cause.SIZE, 160.0, 4, 0.8, 9.2, 14.6), WORDS) == (
         "no disc found on the ball for 1 s: 4 spots are about 9 px across, and the rig's discs 15 px; if these are the "
         "discs, correct disc_radius in the rig, or give the rig of this ball"
     )
-    assert no_discs(2, 2.0, Absence(Cause.DARK, 3.0)) == (
+    assert absent(2, 2.0, Absence(Cause.DARK, 3.0), WORDS) == (
         "only 2 discs found on the ball for 2 s: it is nearly black (3 of 255); uncover the lens, light the ball, or "
         "expose longer (camera.exposure_s)"
     )

@@ -44,7 +44,7 @@ def look_at(film: Film, settings: Settings) -> Sights:
     start = initialise(iter(film.frames), film.rig, settings)
     tracker = build(film.rig, start.pose, settings)
     frames = list(start.frames)
-    seen = tuple(tracker.detector.detect(frame.image) for frame in frames)
+    seen = tuple(tracker.detector_data.detect(frame.image) for frame in frames)
     return Sights(tuple(frame.stamp for frame in frames), seen, film.rig, start.pose)
 
 

@@ -43,7 +43,8 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     before, image = state.colours, frame.image
     if not is_trial_due(state, frame.stamp):
         return state._replace(colours=before._replace(tried_now=())) if before.tried_now else state
-    detector, known = _adaptable(tracker), dict(before.tried_now)
+    detector: DiscDetector = tracker.detector_data  # the projection is fixed for one that uses no colours
+    known = dict(before.tried_now)
     rest = (p for p in projections_to_try(image, before.projection) if p not in known)
     if state.status is Status.TRACKING and (other := next(rest, None)) is not None:  # all would take many intervals
         known[other] = detector.with_projection(other).information(image)
@@ -86,7 +87,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
     if not isinstance(state.phase, Tracking) or not state.confirmed:
         return done
     used: Any = state.points.index[state.filter.used]
-    detector = _adaptable(tracker)
+    detector: DiscDetector = tracker.detector_data
     found, diameter = state.detections.take(used), detector.model.diameter
     contrast = colour_contrast(frame.image, detector.model.mask, found, diameter)
     if contrast is None:
@@ -97,12 +98,6 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
         return done._replace(state=state._replace(colours=colours._replace(refined=True)))
     state = state._replace(colours=colours._replace(projection=fisher, refined=True), search=SearchState())
     return done._replace(state=state)
-
-
-def _adaptable(tracker: Tracker) -> DiscDetector:
-    """Return the detector of a tracker without a fixed projection: `build.colours_of` fixes it for all other types."""
-    detector: Any = tracker.detector
-    return detector
 
 
 def with_colour_event(done: Step[TrackState], before: Colours) -> Step[TrackState]:

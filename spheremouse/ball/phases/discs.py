@@ -1,28 +1,79 @@
-"""Detection of discs: in windows at their predicted places while the attitude is confirmed, else everywhere."""
+"""The detector of discs: in windows at their predicted places while the attitude is confirmed, else everywhere."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.diagnosis import Absence, why_no_disc
+from spheremouse.ball.detect.discs import DiscDetector, disc_detector
 from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detect.support import disc_support
 from spheremouse.ball.detect.windows import Motion
-from spheremouse.ball.filters import FilterState
+from spheremouse.ball.detector import Words
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import SECURE
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
 
-
-def detect_everywhere(
-    state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState
-) -> tuple[Detections, SearchState]:
-    """Return the disc candidates of the whole image, and the search as it was."""
-    return tracker.detector.with_projection(state.colours.projection).detect(frame.image), state.search
+_WORDS = Words("disc", "discs", "{n} look-alike{s} masked", DiscMap.alteration, "no disc found on the ball")
 
 
-def detect_discs(
+@dataclass(frozen=True, slots=True)
+class Discs:
+    """Discs by their contrast, each with the covariance of its fit (`detect/discs.py`)."""
+
+    words: Words = _WORDS
+    map_type: type[BallMap] = DiscMap
+    sees_discs: bool = True
+    is_exact: bool = True
+    uses_colours: bool = True
+    keeps_state: bool = False
+
+    def landmark_angle(self, rig: Rig) -> float:
+        return rig.disc_angle
+
+    def mark_radius(self, rig: Rig) -> float:
+        assert rig.disc_radius is not None
+        return rig.disc_radius
+
+    def shared_errors(self, rig: Rig, pose: Pose) -> Array:
+        return np.zeros((10, 10))
+
+    def prepare(self, rig: Rig, pose: Pose, settings: Settings, before: object = None) -> Any:
+        return disc_detector(settings.discs, rig, pose, before)
+
+    def detect(
+        self, state: TrackState, frame: Frame, tracker: Tracker, predicted: Any
+    ) -> tuple[Detections, SearchState]:
+        if not tracker.method.keeps_map:  # there is no place to look at
+            return tracker.detector_data.with_projection(state.colours.projection).detect(frame.image), state.search
+        return _detect(state, frame, tracker, predicted)
+
+    def clear_points(self, points: int) -> int:
+        return points
+
+    def why_absent(self, image: Image, rig: Rig, pose: Pose, settings: Settings, known: bool) -> Absence:
+        return why_no_disc(image, rig, pose, settings.discs)
+
+    def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
+        return disc_support(unmasked_detector(rig, pose, settings), clipped=True)
+
+
+def unmasked_detector(rig: Rig, pose: Pose, settings: Settings) -> DiscDetector:
+    """Return the default detector for all of the ball."""
+    return disc_detector(replace(settings.discs, masks=()), rig, pose)
+
+
+def _detect(
     state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[Detections, SearchState]:
     """Return the disc candidates of a frame, and the state of the search.
@@ -31,9 +82,7 @@ def detect_discs(
     searches a part of the rest of the ball. Until the ball turns, or if the detector sees too few of the discs of the
     frame before, it searches all of the ball.
     """
-    detector: Any = tracker.detector.with_projection(
-        state.colours.projection
-    )  # a DiscDetector, as `build` chose this method
+    detector: Any = tracker.detector_data.with_projection(state.colours.projection)
     tracking, before = state.status is Status.TRACKING, state.search
     if not (tracking and state.known_to_turn):  # bolts, or another ball
         before = before._replace(size=0.0, contrast=0.0)

@@ -8,7 +8,6 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common, with_map, without_candidates
 from spheremouse.ball.phases.bearing import check_bearings, check_learning
-from spheremouse.ball.phases.discs import detect_discs, detect_everywhere
 from spheremouse.ball.phases.follow import follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
 from spheremouse.ball.phases.recover import recognise, recognise_older_map, recover
@@ -36,7 +35,7 @@ def _next_phase(
             return recognise(state, state.phase, stamp, tracker)
         case Learning():
             state, events = learn(state, state.phase, stamp, tracker, predicted)
-            if tracker.method.exact_centres:
+            if tracker.detector.is_exact:
                 state, more = check_learning(state, tracker)
                 events = (*events, *more)
             return state, events
@@ -46,7 +45,7 @@ def _next_phase(
                 on_older_map = recognise_older_map(state, stamp, tracker)
                 if on_older_map is not None:
                     return on_older_map
-            exact = tracker.method.exact_centres
+            exact = tracker.detector.is_exact
             return check_bearings(before, state, stamp, tracker, predicted) if exact else (state, ())
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)
@@ -85,15 +84,10 @@ def _recall(state: TrackState[So3State], known: BallMap) -> TrackState[So3State]
 
 SO3 = Method(
     keeps_map=True,
-    keeps_search=False,
-    exact_centres=True,
     to_map=_to_map,
     recall=_recall,
-    detect=detect_discs,
     next_phase=_next_phase,
     at_new_pose=at_new_pose,
     update_all=update_all,
     is_covered=is_covered,
 )
-# The published detector knows no place to look at, and its centres are off by more than their covariance says.
-SO3_WITH_BLOBS = SO3._replace(exact_centres=False, detect=detect_everywhere)

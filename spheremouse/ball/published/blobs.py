@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.settings import BlobSettings
 
 _MEDIAN_PX = 5  # width of the median filter; the thesis does not state it
@@ -23,10 +22,6 @@ class BlobDetector:
     """The detector with its settings; it uses no data of the ball."""
 
     settings: BlobSettings
-
-    def with_projection(self, projection: Projection) -> "BlobDetector":
-        """Return the same detector: its masks are of grey values."""
-        return self
 
     def detect(self, image: Image) -> Detections:
         """Blobs in an image (h, w, 3) BGR or (h, w); centres are centroids of contours (eq. 96)."""

@@ -5,17 +5,47 @@ that one frame does not show. A lost ball starts at its last attitude. The metho
 camera or a rolling shutter.
 """
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from spheremouse.ball.phases.discs import detect_everywhere
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.detect.support import disc_support
+from spheremouse.ball.phases.discs import Discs, unmasked_detector
 from spheremouse.ball.phases.follow import all_are_discs, classify_unmatched, confirms, update_filter
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.recover import seen_since, start_new_map
+from spheremouse.ball.published.blobs import BlobDetector
 from spheremouse.ball.published.euler import EulerState
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Events, Learning, Lost, Method, Recognising, Tracker, Tracking, TrackState
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
 
 State = TrackState[EulerState]
+
+
+@dataclass(frozen=True, slots=True)
+class Blobs(Discs):
+    """Discs by grey-value masks: their centres are off by more than their covariance (`blobs.py`)."""
+
+    is_exact: bool = False
+    uses_colours: bool = False
+
+    def prepare(self, rig: Rig, pose: Pose, settings: Settings, before: object = None) -> Any:
+        return BlobDetector(settings.blobs)
+
+    def detect(
+        self, state: TrackState, frame: Frame, tracker: Tracker, predicted: Any
+    ) -> tuple[Detections, SearchState]:
+        return tracker.detector_data.detect(frame.image), state.search
+
+    def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
+        return disc_support(unmasked_detector(rig, pose, settings), clipped=False)
 
 
 def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> tuple[State, Events]:
@@ -59,11 +89,8 @@ def _update_all(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
 
 PUBLISHED = Method(
     keeps_map=False,
-    keeps_search=False,
-    exact_centres=False,
     to_map=lambda _: None,
     recall=lambda state, _: state,
-    detect=detect_everywhere,
     next_phase=_next_phase,
     at_new_pose=_at_new_pose,
     update_all=_update_all,

@@ -16,7 +16,6 @@ from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.phases.method import at_new_pose
-from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import (
     Events,
     Learning,
@@ -43,13 +42,11 @@ from spheremouse.ball.texture.picture import (
     grain_of,
     learn,
     seen_again,
-    texture_pixel,
     weigh,
     without_past,
 )
 from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
 from spheremouse.ball.texture.search import PARTS, Level, TextureDetector, TextureState, fits, near, search
-from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
 from spheremouse.tracker import Frame, Status
 
@@ -66,32 +63,15 @@ _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of 
 _FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
-_SHADING_PX = 0.1  # by which light that stands still shifts a contour
 _PLAIN = 0.25  # of the usual details, below which the ball is covered: another pattern may have half of them
 _OTHER_BALL_S = 5.0  # of details that fit at no attitude: it is another ball, or was painted
-
-
-def shading_covariance(rig: Rig, pose: Pose) -> Array:
-    """Return the covariance, (10, 10), of camera pose and ball, equivalent to the effect of shading on all contours.
-
-    Light that stands still shifts the contours that turn through it, by about the same in each frame. So does an error
-    of the camera's rotation.
-    """
-    towards = pose.position - rig.ball.centre
-    towards = towards / np.linalg.norm(towards)
-    about = np.outer(towards, towards)
-    focal, radius = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
-    covariance = np.zeros((10, 10))
-    covariance[3:6, 3:6] = _SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
-    return covariance
 
 
 def detect_texture(
     state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[Detections, TextureState]:
     """Return the anchors in view as detections, and the state of the detector."""
-    detector = tracker.detector
-    assert isinstance(detector, TextureDetector)
+    detector: TextureDetector = tracker.detector_data
     before, recognises = state.search, isinstance(state.phase, Recognising)
     if isinstance(before, PictureMap):
         before = recalled(detector, frame, before)
@@ -254,8 +234,8 @@ def _next_phase(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
     """Return the state after the anchors of a frame, and the events."""
-    now, before = state.search, state.phase
-    assert isinstance(now, TextureState)
+    now: TextureState = state.search
+    before = state.phase
     if now.alignment is None:
         if isinstance(before, Recognising):
             return _not_recognised(state, before, stamp, tracker)
@@ -316,9 +296,8 @@ def _followed(
 
 def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted: So3State) -> So3State:
     """Return the filter after the anchors of a frame. An anchor that is on the map does not start a disc again."""
-    now, detector = state.search, tracker.detector
-    assert isinstance(now, TextureState)
-    assert isinstance(detector, TextureDetector)
+    now: TextureState = state.search
+    detector: TextureDetector = tracker.detector_data
     anchors = detector.fine.anchors[now.shown[state.points.index]]
     nearest = np.max(anchors @ predicted.discs.T, axis=1, initial=-1.0)
     return tracker.filter.update(predicted, state.points, nearest < np.cos(2.0 * tracker.filter.disc_angle))
@@ -326,11 +305,8 @@ def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted:
 
 TEXTURE = Method(
     keeps_map=True,
-    keeps_search=True,
-    exact_centres=False,
     to_map=to_map,
     recall=recall,
-    detect=detect_texture,
     next_phase=_next_phase,
     at_new_pose=at_new_pose,
     update_all=lambda state, *_: state,

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import clear_mask
-from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
-from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.chart import Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
@@ -65,17 +64,9 @@ class TextureDetector:
         """The views, the fine one first."""
         return self.fine, self.coarse
 
-    def with_projection(self, projection: Projection) -> "TextureDetector":
-        """Return the detector as it is: contrast is that of grey values."""
-        return self
-
     def contrast(self, image: Image) -> tuple[tuple[Floats, Floats], float]:
         """Return the contrast of the ball in an image, (h, w) of the fine and of the coarse chart, and its light."""
         return contrast_of(self.fine, self.coarse, self.resampling(image))
-
-    def detect(self, image: Image) -> Detections:
-        """Return no disc."""
-        return no_detections()
 
 
 def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = ()) -> TextureDetector:

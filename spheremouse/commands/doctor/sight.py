@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from spheremouse.ball.build import build, follows_pattern
+from spheremouse.ball.build import build, detector_of
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import why_no_disc
@@ -108,7 +108,8 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     """
     try:
         build(rig, pose, settings)  # PoseError without the ball in the picture
-        detector = None if follows_pattern(rig, settings) else disc_detector(settings.discs, rig, pose)
+        sees_discs = detector_of(rig, settings).sees_discs
+        detector = disc_detector(settings.discs, rig, pose) if sees_discs else None
     except SpheremouseError as e:
         return None, refused("ball", e)
     rim = ball_outline(rig, pose)
@@ -148,8 +149,8 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
 
 def contrasts(settings: Settings, rig: Rig | None) -> DiscSettings:
     """Return the settings with the least contrast: for a ball that is followed by its pattern, that of print."""
-    pattern = rig is not None and follows_pattern(rig, settings)
-    return replace(settings.discs, contrast=_PRINT_CONTRAST) if pattern else settings.discs
+    sees_discs = rig is None or detector_of(rig, settings).sees_discs
+    return settings.discs if sees_discs else replace(settings.discs, contrast=_PRINT_CONTRAST)
 
 
 def brightness(

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 
 from spheremouse.ball.ball_map import BallMap
-from spheremouse.ball.build import detector_of, map_kind
+from spheremouse.ball.build import detector_name, map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.capture import section
@@ -59,7 +59,7 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
             terminal.error(about(recording.path, str(e)))
             failed = True
     if results:
-        detectors = " and ".join(dict.fromkeys(detector_of(each.rig, settings) for each in tracks))
+        detectors = " and ".join(dict.fromkeys(detector_name(each.rig, settings) for each in tracks))
         method = f"{settings.tracker} with detector {detectors}, {options.pose} camera pose"
         out.print(ball_table(results, method))
         for line in [line for result in results for line in (*path_notes(result), *consistency(result))]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build, check_discs, follows_pattern, map_kind
+from spheremouse.ball.build import begin, build, check_discs, detector_of, map_kind
 from spheremouse.ball.camera_moved import shows_targets
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import CameraMoved
@@ -225,7 +225,7 @@ class BallAdapter(TrackerAdapter):
             self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
                 self._messages.restart("another filter begins")
-            elif follows_pattern(rig, settings) != follows_pattern(rig, self.settings):
+            elif map_kind(rig, settings) != map_kind(rig, self.settings):
                 self._messages.restart("another detector begins")
             self.settings = settings
             self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
@@ -262,13 +262,11 @@ class BallAdapter(TrackerAdapter):
     def scene(self) -> dict[str, Any]:
         """Return camera, ball, discs of the map and targets.
 
-        The discs are None before the first tracked frame, and for a ball that is followed by its pattern.
+        The discs are None before the first tracked frame, and for a ball that is followed by something else.
         """
         rig, state, targets = self.rig, self.state, self.rig.targets
-        pattern = follows_pattern(rig, self.settings)
-        discs = (
-            None if state is None or pattern else np.asarray(state.filter.discs, dtype=float).reshape(-1, 3).tolist()
-        )
+        known = state if detector_of(rig, self.settings).sees_discs else None
+        discs = None if known is None else np.asarray(known.filter.discs, dtype=float).reshape(-1, 3).tolist()
         return {
             "camera": camera_scene(rig.camera, self.pose),
             "radius": rig.ball.radius,

@@ -9,12 +9,9 @@ recording.
 """
 
 from dataclasses import replace
-from typing import cast
 
 from spheremouse.ball import camera_watch as watch
-from spheremouse.ball.build import build, follows_pattern
-from spheremouse.ball.detect.discs import DiscDetector
-from spheremouse.ball.detect.support import disc_support, pattern_support
+from spheremouse.ball.build import check_view, detector_of
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.files.dataset.write import device_description
@@ -35,14 +32,8 @@ def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
 
     It holds for a camera pose and a tracker with these settings. Raises PoseError if the ball is not in view.
     """
-    if follows_pattern(rig, settings):
-        return _with_targets(pattern_support(rig, pose), rig, pose)
-    default = replace(settings, detector="default", discs=replace(settings.discs, masks=()))
-    detector = cast(DiscDetector, build(rig, pose, default).detector)  # that of "default"
-    return _with_targets(disc_support(detector, clipped=settings.detector == "default"), rig, pose)
-
-
-def _with_targets(mask: Image, rig: Rig, pose: Pose) -> Image:
+    check_view(rig, pose)
+    mask = detector_of(rig, settings).support_mask(rig, pose, settings)
     for left, top, right, bottom in _target_boxes(rig, pose):
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 255
     return mask

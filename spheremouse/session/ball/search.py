@@ -9,10 +9,9 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Generic, TypeVar
 
-from spheremouse.ball.build import follows_pattern
 from spheremouse.ball.camera_moved import Moved, seek_by_colour
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.diagnosis import Absence, why_no_disc, why_no_pattern
+from spheremouse.ball.detect.diagnosis import Absence
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.events import MotionReleased, MotionWithheld
 from spheremouse.ball.pose import Resection, find_pose, gather
@@ -141,10 +140,10 @@ class BallMessages:
     def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
         """Update the texts from one frame and the tracker's step for it."""
         state, events = made.state, made.events
-        words = messages.of_pattern if follows_pattern(tracker.rig, tracker.settings) else str
-        lines = [words(messages.line(events))] if events else []
+        words = tracker.detector.words
+        lines = [messages.line(events, words)] if events else []
         if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
-            self._known = words(messages.reason(lasting))
+            self._known = messages.reason(lasting, words)
         missing, new = self._missing.look(state, frame, tracker)
         if new:
             lines.append(missing)
@@ -152,7 +151,7 @@ class BallMessages:
             self._log = "; ".join(lines)
         withheld = state.withheld
         if withheld is not None and withheld.announced:
-            self.reason = words(messages.withheld(frame.stamp - withheld.since, withheld.doubt))
+            self.reason = messages.withheld(frame.stamp - withheld.since, withheld.doubt, words)
         else:
             self.reason = missing or self._known
 
@@ -167,7 +166,7 @@ class BallMessages:
 
 
 class MissingDiscs:
-    """Finds the reason for missing discs, or a pattern, in the picture every 2 s while the ball is not tracked."""
+    """Finds the reason for missing points in the picture every 2 s while the ball is not tracked."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
         self._elsewhere = elsewhere
@@ -179,8 +178,8 @@ class MissingDiscs:
         It is empty while the ball is tracked or three discs are in view, and until the first diagnosis is complete. A
         ball with a pattern may show many points before it turns.
         """
-        pattern = follows_pattern(tracker.rig, tracker.settings)
-        points, stamp = 0 if pattern else len(state.points), frame.stamp
+        detector, stamp = tracker.detector, frame.stamp
+        points = detector.clear_points(len(state.points))
         if state.status is Status.TRACKING:
             self._reset()
             return "", False
@@ -188,16 +187,15 @@ class MissingDiscs:
         due = stamp - since >= _FIRST_DIAGNOSIS_S and not 0.0 <= stamp - self._diagnosed < _DIAGNOSIS_INTERVAL_S
         if due and points < _FEW_DISCS and self._diagnosis.idle:
             self._diagnosed, self._seen, image = stamp, points, frame.image.copy()
-            seen, known = (image, tracker.rig, tracker.pose), state.status is Status.LOST
+            known = state.status is Status.LOST
             self._diagnosis.begin(
-                lambda: why_no_pattern(*seen, known) if pattern else why_no_disc(*seen, tracker.settings.discs)
+                lambda: detector.why_absent(image, tracker.rig, tracker.pose, tracker.settings, known)
             )
         self._absence = self._diagnosis.take() or self._absence
         if self._absence is None or points >= _FEW_DISCS:
             return "", False
         before, self._problem = self._problem, messages.why_absent(self._absence)[0]
-        text = messages.no_discs(self._seen, stamp - since, self._absence)
-        text = messages.no_pattern(stamp - since, self._absence) if pattern else text
+        text = messages.absent(self._seen, stamp - since, self._absence, detector.words)
         return text, strip_digits(before) != strip_digits(self._problem)
 
     def _reset(self) -> None:

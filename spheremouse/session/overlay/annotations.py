@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spheremouse.ball.build import follows_pattern
 from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.ball.detect.lookalikes import MASK_RADIUS_PX
 from spheremouse.ball.detect.rings import TargetDetections
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from spheremouse.wand.state import WandPose
 
 Plain = dict[str, Any]
-
-_PART = 0.03  # radii, of the mark on a part of a pattern
 
 
 def plain(sequence: int | None, status: Status, **marks: Any) -> Plain:
@@ -63,7 +60,7 @@ def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
 
     Only discs whose whole rim faces the camera are returned. A gate is that of the next frame, `interval` s later.
     """
-    rig, pose = replace(tracker.rig, disc_radius=_drawn_radius(tracker)), tracker.pose
+    rig, pose = replace(tracker.rig, disc_radius=tracker.detector.mark_radius(tracker.rig)), tracker.pose
     centre = state.detections.centre[state.points.index]
     directions, which = directions_at(centre, rig, pose)
     seen = appearance(directions, rig, pose)
@@ -85,13 +82,6 @@ def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
         ],
         "masked": _points(_masked(state)),
     }
-
-
-def _drawn_radius(tracker: Tracker) -> float:
-    """Return the radius of a disc in m, or that of the marks on the parts of a pattern."""
-    if follows_pattern(tracker.rig, tracker.settings) or tracker.rig.disc_radius is None:
-        return _PART * tracker.rig.ball.radius
-    return tracker.rig.disc_radius
 
 
 def _masked(state: TrackState) -> Array:

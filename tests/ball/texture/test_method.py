@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.ball.build import begin, build, detector_of
+from spheremouse.ball.build import begin, build, detector_name
 from spheremouse.ball.events import BallLost, Found, NewMap, Recognised, Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.method import TEXTURE
@@ -70,7 +70,7 @@ def test_what_stands_still_before_the_ball_is_left_out(speckle):
     """The struts of the frame cross the picture; most of the ball's samples are known to turn."""
     _, tracker, steps = speckle
     odds = steps[-1].state.search.fine.seen.odds
-    on_ball = np.isfinite(tracker.detector.fine.direction[..., 0])
+    on_ball = np.isfinite(tracker.detector_data.fine.direction[..., 0])
     assert 0.05 < np.mean(odds[on_ball] < -3.0) < 0.4
     assert np.mean(odds[on_ball] > 3.0) > 0.3
 
@@ -167,15 +167,15 @@ def test_a_rig_without_discs_is_followed_by_its_texture_unless_the_settings_need
     with pytest.raises(ValueError, match="needs the tracker so3"):
         Settings(detector="texture", tracker="ekf1")
     with_discs = replace(rig, disc_radius=0.02)
-    assert detector_of(with_discs, Settings()) == "default"
-    assert detector_of(with_discs, Settings(detector="texture")) == "texture"
+    assert detector_name(with_discs, Settings()) == "default"
+    assert detector_name(with_discs, Settings(detector="texture")) == "texture"
 
 
 def test_masks_leave_out_a_part_of_the_picture_but_not_all(speckle):
     _, tracker, _ = speckle
     discs = tracker.settings.discs
     half = build(tracker.rig, tracker.pose, replace(tracker.settings, discs=replace(discs, masks=((0, 0, 160, 240),))))
-    shows = [np.isfinite(t.detector.fine.direction[..., 0]).sum() for t in (tracker, half)]
+    shows = [np.isfinite(t.detector_data.fine.direction[..., 0]).sum() for t in (tracker, half)]
     assert 0.3 < shows[1] / shows[0] < 0.7
     with pytest.raises(ConfigurationError, match="masks"):
         build(tracker.rig, tracker.pose, replace(tracker.settings, discs=replace(discs, masks=((0, 0, 320, 240),))))

@@ -1,0 +1,85 @@
+"""The detector of a ball's pattern: the anchors of its picture are points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.diagnosis import Absence, why_no_pattern
+from spheremouse.ball.detect.support import pattern_support
+from spheremouse.ball.detector import Words
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.texture.method import detect_texture
+from spheremouse.ball.texture.picture import texture_pixel
+from spheremouse.ball.texture.picture_map import PictureMap
+from spheremouse.ball.texture.search import TextureDetector, TextureState, texture_detector
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
+
+_ANCHOR_ANGLE = 0.1  # rad, of an anchor: they are six times as far apart
+_MARK = 0.03  # radii
+_SHADING_PX = 0.1  # by which light that stands still shifts a contour
+
+
+_WORDS = Words(
+    "part of the pattern",
+    "parts of the pattern",
+    "what stands still is masked",
+    PictureMap.alteration,
+    "the ball is not followed",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Texture:
+    """Parts of a pattern, by the alignment of a frame with the picture of the ball."""
+
+    words: Words = _WORDS
+    map_type: type[BallMap] = PictureMap
+    sees_discs: bool = False
+    is_exact: bool = False
+    uses_colours: bool = False
+    keeps_state: bool = True
+
+    def landmark_angle(self, rig: Rig) -> float:
+        return _ANCHOR_ANGLE
+
+    def mark_radius(self, rig: Rig) -> float:
+        return _MARK * rig.ball.radius
+
+    def shared_errors(self, rig: Rig, pose: Pose) -> Array:
+        """Return the effect of shading on all contours.
+
+        Light that stands still shifts the contours that turn through it, by about the same in each frame. So does an
+        error of the camera's rotation.
+        """
+        towards = pose.position - rig.ball.centre
+        towards = towards / np.linalg.norm(towards)
+        about = np.outer(towards, towards)
+        focal, radius = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
+        covariance = np.zeros((10, 10))
+        covariance[3:6, 3:6] = _SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
+        return covariance
+
+    def prepare(self, rig: Rig, pose: Pose, settings: Settings, before: object = None) -> TextureDetector:
+        return texture_detector(rig, pose, settings.discs.masks)
+
+    def detect(
+        self, state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
+    ) -> tuple[Detections, TextureState]:
+        return detect_texture(state, frame, tracker, predicted)
+
+    def clear_points(self, points: int) -> int:
+        return 0  # until the ball turns, they may be of what stands before it
+
+    def why_absent(self, image: Image, rig: Rig, pose: Pose, settings: Settings, known: bool) -> Absence:
+        return why_no_pattern(image, rig, pose, known)
+
+    def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
+        return pattern_support(rig, pose)
