@@ -22,6 +22,7 @@ class Words(NamedTuple):
 
     part: str  # one of its points
     parts: str
+    subject: str  # all of them, by which a ball is followed
     masked: str  # what became of things that stand still, with their number {n} and a plural's {s}
     altered: str  # why those of the same ball may have changed
     absent: str  # it sees none, and the ball is not tracked

@@ -144,9 +144,11 @@ def tune(
     the same result. Raises ConfigurationError without Optuna, for another tracker, and for a recording that is too
     short.
     """
-    if not detector_of(recording.rig, settings).sees_discs:
+    detector = detector_of(recording.rig, settings)
+    if not detector.sees_discs:
         raise ConfigurationError(
-            f"{recording.path}: tune searches settings of discs, and this ball is followed by its pattern",
+            f"{recording.path}: tune searches settings of discs, and this ball is followed by its "
+            f"{detector.words.subject}",
             "give a recording of a ball with discs, or leave the settings at their defaults",
         )
     if settings.tracker != "so3" or settings.detector != "default":

@@ -24,7 +24,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
 
-_WORDS = Words("disc", "discs", "{n} look-alike{s} masked", DiscMap.alteration, "no disc found on the ball")
+_WORDS = Words("disc", "discs", "discs", "{n} look-alike{s} masked", DiscMap.alteration, "no disc found on the ball")
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,7 +97,7 @@ def update_all(
     """
     few = np.count_nonzero(predicted.hits >= ESTABLISHED_HITS) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
-    has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_angle
+    has_turned = np.linalg.norm(turned) > 2.0 * tracker.detector.landmark_angle(tracker.rig)
     follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed < 0.5
     proven = np.full(len(state.points), few or (has_turned and follows))
     return updated_hypotheses(state, stamp, tracker, predicted, proven=proven)

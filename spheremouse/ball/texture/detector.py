@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import Absence, why_no_pattern
-from spheremouse.ball.detect.support import pattern_support
+from spheremouse.ball.detect.support import grown, with_noise_lines
 from spheremouse.ball.detector import Words
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
@@ -17,19 +18,21 @@ from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.texture.method import detect_texture
 from spheremouse.ball.texture.picture import texture_pixel
 from spheremouse.ball.texture.picture_map import PictureMap
-from spheremouse.ball.texture.search import TextureDetector, TextureState, texture_detector
+from spheremouse.ball.texture.search import TextureDetector, TextureState, texture_chart, texture_detector
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame
 
 _ANCHOR_ANGLE = 0.1  # rad, of an anchor: they are six times as far apart
 _MARK = 0.03  # radii
+_BESIDE = 1  # px beside the ball, that interpolation may read with a weight too small to leave them out
 _SHADING_PX = 0.1  # by which light that stands still shifts a contour
 
 
 _WORDS = Words(
     "part of the pattern",
     "parts of the pattern",
+    "pattern",
     "what stands still is masked",
     PictureMap.alteration,
     "the ball is not followed",
@@ -82,4 +85,5 @@ class Texture:
         return why_no_pattern(image, rig, pose, known)
 
     def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
-        return pattern_support(rig, pose)
+        window = texture_chart(rig, pose)[1].window
+        return with_noise_lines(grown(clear_mask(rig, pose), _BESIDE), *window)

@@ -16,7 +16,7 @@ from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.texture.chart import Resampling, chart_of, resampling
+from spheremouse.ball.texture.chart import Chart, Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
     DETAIL,
     Alignment,
@@ -75,9 +75,7 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     Raises ConfigurationError if the masks hide the whole ball, or all but a margin.
     """
     mask = unmasked(clear_mask(rig, pose), masks)
-    spacing = texture_spacing(rig, pose)
-    chart = chart_of(rig, pose, spacing, _COARSE)
-    resample = resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
+    chart, resample = texture_chart(rig, pose)
     inside = chart.inside & (resample(mask) == 255)
     parts = inside.reshape(chart.size // _COARSE, _COARSE, chart.size // _COARSE, _COARSE)
     fine = texture_view(rig, pose, chart, inside)
@@ -85,6 +83,13 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     if not np.isfinite(coarse.direction).any():
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     return TextureDetector(resample, fine, coarse)
+
+
+def texture_chart(rig: Rig, pose: Pose) -> tuple[Chart, Resampling]:
+    """Return the fine chart of a rig's ball as the camera sees it from `pose`, and the way to it from an image."""
+    spacing = texture_spacing(rig, pose)
+    chart = chart_of(rig, pose, spacing, _COARSE)
+    return chart, resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
 
 
 class Level(NamedTuple):

@@ -108,8 +108,8 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     """
     try:
         build(rig, pose, settings)  # PoseError without the ball in the picture
-        sees_discs = detector_of(rig, settings).sees_discs
-        detector = disc_detector(settings.discs, rig, pose) if sees_discs else None
+        follows = detector_of(rig, settings)
+        detector = disc_detector(settings.discs, rig, pose) if follows.sees_discs else None
     except SpheremouseError as e:
         return None, refused("ball", e)
     rim = ball_outline(rig, pose)
@@ -125,7 +125,7 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     text, numbers = f"{across:.0f} px across, {distance:.2f} {unit} from the camera", {"ball_px": round(across, 1)}
     numbers["distance"] = round(distance, 3)
     if detector is None:
-        text += "; followed by its pattern, which the tracker learns as the ball turns"
+        text += f"; followed by its {follows.words.subject}, which the tracker learns as the ball turns"
         return None, classify("ball", text, (not inside.all(), Verdict.WARNING, cut, "turn the camera"), **numbers)
     # a disc that is seen at 75 degrees has a quarter of its area
     return Sight(rig, pose, detector), classify(

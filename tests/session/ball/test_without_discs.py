@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from conftest import directions
@@ -94,7 +95,8 @@ def test_the_marks_are_on_the_ball_and_the_scene_has_no_discs():
 
 def test_a_masked_picture_keeps_the_ball_and_little_else():
     rig, pose, _ = film()
-    keep, clear = kept(rig, pose, Settings()), clear_mask(rig, pose)
+    keep = kept(rig, pose, Settings())
+    clear = cv2.dilate(clear_mask(rig, pose), np.ones((3, 3), np.uint8))  # a chart interpolates between pixels
     rows, columns = (np.flatnonzero(clear.any(axis=axis)) for axis in (1, 0))
     box = keep[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] > 0
     assert keep[clear > 0].all()
