@@ -112,11 +112,12 @@ class Remainder:
 
 
 def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
-    """Return the whole counts of a rotation vector (3,) rad by a matrix (3, 3) counts/rad, and the fractions left over.
+    """Return the whole counts (x, y, third axis) to send for a rotation vector (3,) rad, and the fractions left over.
 
-    The sum of all counts stays within one of the integral of the motion. An axis sends nothing until a whole count is
-    due, and then the nearest number. This hysteresis of half a count keeps a ball at rest from sending counts back and
-    forth.
+    `matrix` (3, 3) has counts per radian, in the frame of the rotation. `remainder` has the fractions of the last call.
+    On each axis, the sum of all counts stays within one count of the exact sum. An axis sends nothing until a whole
+    count is due, and then the nearest whole number. Afterwards the ball must turn back by half a count or more until a
+    count back is due, so noise at rest sends no counts back and forth.
     """
     counts, left = [0, 0, 0], [0.0, 0.0, 0.0]
     for axis, value in enumerate((matrix @ rotation).tolist()):

@@ -59,7 +59,7 @@ class OutputThread:
         self._wakeup.acquire()
         self._queue: deque[_QueuedReport] = deque()
         self._overflow, self._overflowed = _NONE, 0  # counts and frames that the queue did not hold
-        self._over = self._paused = self._ended = False
+        self._closing = self._paused = self._ended = False
         self._output: Output | None = None
         self._failed: str | None = None
         self._unproven: str | None = None  # reason of a failure, once the output is open again and took no report yet
@@ -75,7 +75,7 @@ class OutputThread:
         self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
         self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
-        self._next = inf  # s, when the next one is due
+        self._next_time = inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         start(self._thread)
 
@@ -150,7 +150,7 @@ class OutputThread:
 
     def close(self) -> None:
         """Close the output and wait for the thread, at most 5 s. A thread that hangs is left running."""
-        self._over = True
+        self._closing = True
         self._wake_thread()
         if self._thread.ident is None:  # the thread was never started
             return
@@ -165,18 +165,19 @@ class OutputThread:
     # ---- the thread ----
 
     def _run(self) -> None:
+        """Send what is due until `close`. After an unexpected exception, `_work` opens the output again with delay."""
         try:
-            while not self._over:
+            while not self._closing:
                 try:
-                    left = self._work()
+                    wait = self._work()
                 except Exception as e:
                     self._log(internal_error_text())
                     self._fail(f"internal error: {_reason(e)}", e)
-                    left = 0.0
-                if left > 0.0:
-                    self._wakeup.acquire(timeout=min(left, threading.TIMEOUT_MAX))
+                    wait = 0.0
+                if wait > 0.0:
+                    self._wakeup.acquire(timeout=min(wait, threading.TIMEOUT_MAX))
         finally:
-            self._close(None)
+            self._close()
             self._drop_queue()
 
     def _work(self) -> float:
@@ -191,11 +192,11 @@ class OutputThread:
             self._take(*self._queue.popleft())
         if self._output is None:
             return inf if self._ended else self._retry_time - self._clock()
-        if self._next == inf:
+        if self._next_time == inf:
             return inf
-        if self._clock() >= self._next:
-            self._carry_on(self._clock())
-        return self._next - self._clock()
+        if self._clock() >= self._next_time:
+            self._send_between_frames(self._clock())
+        return self._next_time - self._clock()
 
     def _take(self, report: Report, taken: float, wanted: bool, submitted: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
@@ -221,7 +222,7 @@ class OutputThread:
         self._plan(now)
         return pointer.due(self._resampler, now)
 
-    def _carry_on(self, now: float) -> None:
+    def _send_between_frames(self, now: float) -> None:
         """Send a report between frames if counts are due."""
         self._plan(now)
         due = pointer.due(self._resampler, now)
@@ -234,7 +235,7 @@ class OutputThread:
         """Set the time of the next report: on a grid without drift, and once after the end of the prediction."""
         period = self._period
         after = self._grid + (floor((now - self._grid) / period) + 1) * period
-        self._next = after if now < self._resampler.until else inf
+        self._next_time = after if now < self._resampler.until else inf
 
     def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
@@ -273,7 +274,7 @@ class OutputThread:
             self._failed, self._unproven = None, self._failed
         elif hung:
             self._works_again()
-        self._next = inf
+        self._next_time = inf
 
     def _enter(self) -> None:
         self._output = output = self._open().__enter__()
@@ -307,7 +308,8 @@ class OutputThread:
         self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
 
-    def _close(self, error: Exception | None) -> None:
+    def _close(self, error: Exception | None = None) -> None:
+        """Close the output, after the `error` that made it fail if there is one."""
         self._reset()
         output = self._output
         if output is not None:
@@ -326,7 +328,7 @@ class OutputThread:
         self._unsent = plus(self._unsent, minus(self._frame_sum, self._sent))
         self._past = plus(self._past, self._sent)
         self._resampler, self._frame_sum, self._sent = Resampler(), _NONE, _NONE
-        self._next = inf
+        self._next_time = inf
 
     def _drop_queue(self) -> None:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""

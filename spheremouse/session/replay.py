@@ -46,7 +46,7 @@ class ReplayProcess:
         Raises RefusedError with its reason if it refuses a change.
         """
         while self._process.returncode is None:
-            if await asyncio.to_thread(self._take_over, changes):
+            if await asyncio.to_thread(self._request_changes, changes):
                 return True
             await asyncio.sleep(_POLL)
         return False
@@ -62,12 +62,13 @@ class ReplayProcess:
         shutil.rmtree(self._folder, ignore_errors=True)
         return child.problem_in(lines) or "the replay has failed"
 
-    def _take_over(self, changes: Sequence[str]) -> bool:
+    def _request_changes(self, changes: Sequence[str]) -> bool:
+        """Set the changes, but those of keys on the replay's command line. Return False if it takes no requests yet."""
         with contextlib.suppress(NoDaemonError), Client(self.socket) as client:
             status = client.ask("status")
             if status["state"] != "starting":
-                own = [change for change in changes if key_of(change) not in status["given"]]
-                if own:
-                    client.ask("set", assignments=own)
+                settable = [change for change in changes if key_of(change) not in status["given"]]
+                if settable:
+                    client.ask("set", assignments=settable)
                 return True
         return False

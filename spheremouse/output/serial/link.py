@@ -42,14 +42,14 @@ _ROUND_TRIPS = 4096  # the last ones are kept
 
 
 class _Targets:
-    """Interval on each axis of all positions that the device may have obeyed."""
+    """Interval on each axis of all positions (sums of counts) that the device may have reached."""
 
     def __init__(self, confirmed: Sequence[int]) -> None:
         self._pending: deque[tuple[int, list[int], list[int]]] = deque()  # number, lowest, highest
         self.low, self.high = list(confirmed), list(confirmed)
 
-    def nearest(self, total: Sequence[int]) -> list[int]:
-        """Return the next target: `total`, or as near to it as no step becomes too large, whatever is in flight."""
+    def limited(self, total: Sequence[int]) -> list[int]:
+        """Return the next target: `total`, limited so that no step of the device is too large, whatever was lost."""
         return [
             min(max(t, high - _MAX_SPREAD), low + _MAX_SPREAD)
             for t, low, high in zip(total, self.low, self.high, strict=True)
@@ -73,7 +73,7 @@ class _Targets:
 
 
 class Link:
-    """Ledger of the counts that were submitted, sent and confirmed, over sessions, breaks and resets."""
+    """Counts that were submitted to a microcontroller, sent and confirmed, over sessions, breaks and resets."""
 
     def __init__(self, draw_session: Callable[[], int], baud: int = 115200) -> None:
         """Take a function that returns session numbers: not 0, and never the same twice."""
@@ -97,11 +97,14 @@ class Link:
         self._splitter = Splitter()
         self._session = 0  # requested or current; 0: there is no port
         self._hello_time = 0.0
-        self._base, self._acknowledged = [0] * 4, [0] * 4  # counts at the session's start, and counters of the last ACK
+        self._at_start, self._acknowledged = (
+            [0] * 4,
+            [0] * 4,
+        )  # counts at the session's start, and counters of the last ACK
         self._targets = _Targets(self.confirmed)
         self._sent_buttons = 0
         self._number, self._answered = 0, -1  # of the next frame, and of the last one answered
-        self._last_motion = self._last_report = self._unconfirmed_since = -np.inf  # s
+        self._last_motion = self._tracker_reported = self._unconfirmed_since = -np.inf  # s
         self._in_flight: dict[int, float] = {}  # s, send time by number
         self._round_trips: deque[float] = deque(maxlen=_ROUND_TRIPS)
         self._status_requested = self._stop_requested = False
@@ -110,7 +113,7 @@ class Link:
 
     def add(self, counts: Sequence[int], now: float) -> None:
         """Add counts of x, y, wheel, pan."""
-        self._last_report = now
+        self._tracker_reported = now
         if self.settled:
             self._unconfirmed_since = now
         for k, n in enumerate(counts):
@@ -119,7 +122,7 @@ class Link:
 
     def keep_alive(self, now: float) -> None:
         """Keep the session without a report."""
-        self._last_report = now
+        self._tracker_reported = now
 
     def drop_waiting(self, now: float) -> None:
         """Drop the counts that wait, and begin a new session, so that the device drops them as well."""
@@ -185,7 +188,7 @@ class Link:
             if self._unanswered and now - max(self.last_answer, oldest) > _ANSWER_TIMEOUT:
                 self.breaks += 1
                 self._begin(now)
-            elif now - self._last_report < _TRACKER_TIMEOUT and now - self._last_motion >= SILENCE:
+            elif now - self._tracker_reported < _TRACKER_TIMEOUT and now - self._last_motion >= SILENCE:
                 self._begin(now)  # the device has ended the session
         if not self.running:
             if self._session and now >= self._hello_time:
@@ -198,9 +201,15 @@ class Link:
         return self._next_motion(now)
 
     def _next_motion(self, now: float) -> bytes | None:
-        if now - self._last_report >= _TRACKER_TIMEOUT:
+        """Return the MOTION to send now; None if none is due.
+
+        A change goes out at once, or at the retry interval if many frames are unanswered. Without a change, a MOTION
+        keeps the session alive. Each has the sums of counts since the session's start, so it replaces a lost one. If
+        the tracker does not report for 1 s, none is sent, and the device ends the session.
+        """
+        if now - self._tracker_reported >= _TRACKER_TIMEOUT:
             return None
-        target = self._targets.nearest(self.total)
+        target = self._targets.limited(self.total)
         if target == self.sent and self.buttons == self._sent_buttons:
             interval = _KEEP_ALIVE_INTERVAL
         else:
@@ -209,16 +218,17 @@ class Link:
             return None
         self.sent, self._sent_buttons, self._last_motion = target, self.buttons, now
         self.motions += 1
-        self._targets.add(self._number, target)
-        counters = [s - b for s, b in zip(target, self._base, strict=True)]
-        return motion(self._take_number(now), counters, self.buttons)
+        number = self._take_number(now)
+        self._targets.add(number, target)
+        counters = [s - b for s, b in zip(target, self._at_start, strict=True)]
+        return motion(number, counters, self.buttons)
 
     def next_wait(self, now: float) -> float:
         """Return the time (s) until `next_frame` may return a frame without new input."""
         if self.running:
             busy = self.total != self.sent and self._unanswered >= _MAX_UNANSWERED
             interval = self._retry_interval if busy else _KEEP_ALIVE_INTERVAL
-            left = self._last_motion + interval - now if now - self._last_report < _TRACKER_TIMEOUT else np.inf
+            left = self._last_motion + interval - now if now - self._tracker_reported < _TRACKER_TIMEOUT else np.inf
         else:
             left = self._hello_time - now if self._session else np.inf
         return max(0.0, min(_KEEP_ALIVE_INTERVAL, left))
@@ -299,7 +309,7 @@ class Link:
             self._drop(self.confirmed)
         if before != self.confirmed:
             self._unconfirmed_since = now
-        self.sent, self._base, self._acknowledged = list(self.confirmed), list(self.confirmed), [0] * 4
+        self.sent, self._at_start, self._acknowledged = list(self.confirmed), list(self.confirmed), [0] * 4
         self._targets = _Targets(self.confirmed)
         self._in_flight.clear()
         self._answered, self._sent_buttons, self._last_motion = (self._number - 1) & 0xFFFF, 0, now
