@@ -180,11 +180,15 @@ def _read_truth(path: Path, frames: int) -> Truth:
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:
+    """Read discs.csv of a dataset with a number of `frames`. Raises DatasetError if a number is not whole or in range.
+
+    Cells of blob and area may be empty: nan.
+    """
     table = read_columns(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
-    whole = [table[c] for c in ("frame", "disc", "state")]
-    if any(map(fractional, whole)) or np.any((whole[0] < 0) | (whole[0] >= frames)):
-        raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame below {frames}")
-    return DiscTruth(
+    frame, *others = (table[c] for c in ("frame", "disc", "state"))
+    if any(map(fractional, (frame, *others))) or np.any((frame < 0) | (frame >= frames)):
+        raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame from 0 to {frames - 1}")
+    return DiscTruth(  # popped, so that a long table is not in memory twice
         frame=table.pop("frame").astype(np.intp),
         disc=table.pop("disc").astype(np.intp),
         centre=np.stack([table.pop("u_center"), table.pop("v_center")], axis=1),

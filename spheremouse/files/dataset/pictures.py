@@ -14,13 +14,17 @@ from spheremouse.errors import DatasetError, os_errors_as
 from spheremouse.files.dataset.frames import picture_file
 from spheremouse.files.pictures import film_images, open_film
 
-SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size
-FAST = ("HFYU", "FFV1")  # or a sixth of the time
-GREY = ("FFV1",)  # OpenCV reads back other grey values from the other codecs
+# codecs in the order they are tried
+SMALL_CODECS = ("FFV1", "HFYU")  # half the size
+FAST_CODECS = ("HFYU", "FFV1")  # a sixth of the time
+_GREY_CODECS = ("FFV1",)  # OpenCV reads back other grey values from HFYU
 
 
-def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], colour: bool) -> str | None:
-    """Return the first codec with which OpenCV reproduces noise of (width, height) bit for bit, or None."""
+def _lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], *, colour: bool) -> str | None:
+    """Return the first codec with which OpenCV reproduces a video of noise bit for bit; None if there is none.
+
+    It writes trial files into `folder`. `size` is (width, height) px.
+    """
     shape = (2, size[1], size[0], 3) if colour else (2, size[1], size[0])
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     expected = images if colour else np.repeat(images[..., None], 3, axis=3)
@@ -40,29 +44,46 @@ def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...],
 
 
 class PictureWriter:
-    """Writes images, (h, w, 3) BGR or (h, w) grey, into a folder. All are in colour unless `mixed`."""
+    """Writes images, (h, w, 3) BGR or (h, w) grey, into a folder.
+
+    A `mixed` film has grey images and some in colour. It becomes a grey video if one of its first two images is grey,
+    with a PNG file for each image in colour. So the first image waits for the second one.
+    """
 
     def __init__(
-        self, folder: Path, size: tuple[int, int], fps: float, codecs: tuple[str, ...] = SMALL, *, mixed: bool = False
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        fps: float,
+        codecs: tuple[str, ...] = SMALL_CODECS,
+        *,
+        mixed: bool = False,
     ) -> None:
-        """`size`: width and height, px; `fps`: of the video in a player. Takes some tenths of a second."""
-        self.written = 0
-        self._in_files = 0  # bytes
+        """Choose the codecs, which takes some tenths of a second. If none is lossless, all images become PNG files.
+
+        `size` is (width, height) px, and `fps` the rate at which a player shows the video. Without `mixed`, grey images
+        are written as colour.
+        """
+        self.written = 0  # images, with the one that waits
+        self._png_bytes = 0
         self._folder, self._size, self._fps = folder, size, fps
-        self._codec = lossless_codec(folder, size, codecs, True)
-        self._grey_codec = lossless_codec(folder, size, GREY, False) if mixed else None
+        self._codec = _lossless_codec(folder, size, codecs, colour=True)
+        self._grey_codec = _lossless_codec(folder, size, _GREY_CODECS, colour=False) if mixed else None
         self._video: cv2.VideoWriter | None = None
-        self._colour = True  # True if the video has colour
+        self._colour = True  # False: the video is grey
         self._mixed = mixed
-        self._first: Image | None = None  # the second one shows if all frames are grey
+        self._waiting: Image | None = None  # first image of a mixed film, until the second one comes
 
     def add(self, image: Image) -> None:
-        """Add an image; DatasetError if it cannot be written and OpenCV reports that at once."""
+        """Add an image of the writer's size. Raises DatasetError if OpenCV reports at once that it cannot write it.
+
+        OpenCV does not report a full disk; `close` detects it.
+        """
         assert image.shape[:2] == (self._size[1], self._size[0])
         if self.written == 0 and self._mixed:
-            self._first = image.copy()
+            self._waiting = image.copy()
         else:
-            if self.written == 0 or self._first is not None:
+            if self.written == 0 or self._waiting is not None:
                 self._begin(image)
             self._write(self.written, image)
         self.written += 1
@@ -70,12 +91,12 @@ class PictureWriter:
     def size(self) -> int:
         """Bytes on the disk so far."""
         video = self._folder / "video.mkv"
-        return self._in_files + (0 if self._video is None or not video.exists() else video.stat().st_size)
+        return self._png_bytes + (0 if self._video is None or not video.exists() else video.stat().st_size)
 
     def close(self) -> None:
         """End the video. DatasetError if its size differs from that written; OpenCV's writer reports no errors."""
-        if self._first is not None:
-            self._begin(self._first)
+        if self._waiting is not None:  # the film has one image
+            self._begin(self._waiting)
         if self._video is None:
             return
         self._video.release()
@@ -93,8 +114,8 @@ class PictureWriter:
             self._video = None
 
     def _begin(self, image: Image) -> None:
-        """Begin the video, grey if one of the first two images is; the second one is `image`."""
-        first, self._first = self._first, None
+        """Open the video, and write the image that waits. The caller writes `image`, the next one."""
+        first, self._waiting = self._waiting, None
         self._colour = image.ndim == 3 and (first is None or first.ndim == 3)
         codec = self._codec if self._colour else self._grey_codec
         if codec is not None:
@@ -119,7 +140,7 @@ class PictureWriter:
         path = picture_file(self._folder, index)
         with os_errors_as(DatasetError, f"{path}: cannot be written"):
             path.parent.mkdir(exist_ok=True)
-            self._in_files += path.write_bytes(
+            self._png_bytes += path.write_bytes(
                 cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
             )
 

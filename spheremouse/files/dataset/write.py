@@ -15,7 +15,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth
 from spheremouse.errors import DatasetError, SpheremouseError, os_errors_as
 from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS, camera_description
-from spheremouse.files.dataset.pictures import FAST, PictureWriter
+from spheremouse.files.dataset.pictures import FAST_CODECS, PictureWriter
 from spheremouse.files.safe_files import NewFolder
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.tracker import Frame
@@ -106,22 +106,25 @@ class FilmWriter:
     """
 
     def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        """`size`: (w, h) px. Raises DatasetError if `path` has files, or cannot be written."""
+        """Make a hidden folder, which `finish` renames to `path`. `open` must follow before the first frame.
+
+        `size` is (width, height) px. Raises DatasetError if `path` has files, or cannot be written.
+        """
         self._path, self._size = path.absolute(), size
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
         self._files = ExitStack()
-        refuse_to_overwrite(self._path, False)
+        refuse_to_overwrite(self._path, replace=False)
         self._new = NewFolder(self._path, DatasetError)
         try:
-            self.folder = self._new.make()  # until it takes its name
+            self.folder = self._new.make()
         except BaseException:
             self._new.discard()
             raise
 
     def open(self, fps: float) -> None:
         """Choose the codec, which takes some tenths of a second; `fps`: of the video in a player."""
-        self._pictures = PictureWriter(self.folder, self._size, fps, FAST, mixed=True)
+        self._pictures = PictureWriter(self.folder, self._size, fps, FAST_CODECS, mixed=True)
         self._rows = _begin_table(self._files, self.folder / "stamps.csv", STAMP_COLUMNS)
 
     def add(self, frame: Frame) -> None:
@@ -158,7 +161,7 @@ class FilmWriter:
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
             self.folder.chmod(0o750)  # it may show people
-            refuse_to_overwrite(self._path, False)
+            refuse_to_overwrite(self._path, replace=False)
             self._new.finish()
             _sync(self._path.parent)
 
@@ -193,6 +196,7 @@ def _begin_table(files: ExitStack, path: Path, columns: Sequence[str]) -> Any:
 
 def refuse_to_overwrite(
     path: Path,
+    *,
     replace: bool,
     parts: Sequence[str] = FILES,
     what: str = "a dataset",

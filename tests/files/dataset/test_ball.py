@@ -256,7 +256,7 @@ def lines(file):
         ("truth.csv", lambda t: [t[0], t[1].replace(",1.0,", ",nan,", 1), *t[2:]], ["line 2", "r11"]),
         ("discs.csv", lambda t: [t[0].replace("area_px", "area"), *t[1:]], ["line 1", "area_px"]),
         ("discs.csv", lambda t: [*t[:5], t[5].replace("22.5000", ""), *t[6:]], ["line 6", "v_center"]),
-        ("discs.csv", lambda t: [*t[:5], t[5].replace("2,", "9,", 1), *t[6:]], ["frame below 6"]),
+        ("discs.csv", lambda t: [*t[:5], t[5].replace("2,", "9,", 1), *t[6:]], ["frame from 0 to 5"]),
     ],
 )
 def test_a_wrong_table_is_named_with_its_line(folder, name, change, words):

@@ -80,6 +80,6 @@ def practice(
 def _refuse(path: Path, replace: bool) -> None:
     from spheremouse.files.dataset.write import refuse_to_overwrite
 
-    refuse_to_overwrite(path, replace, _PARTS, "a practice set", CalibrationError)
+    refuse_to_overwrite(path, replace=replace, parts=_PARTS, what="a practice set", error=CalibrationError)
     if path.is_dir() and any(path.iterdir()) and not (path / "truth.json").is_file():
         raise CalibrationError(f"{path}: holds no truth.json, so these are real photos; they will not be replaced")
