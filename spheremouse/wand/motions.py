@@ -34,13 +34,13 @@ def possible_motions(track: Track, dt: float, tracker: WandTracker) -> MotionMix
         shift[1, 3:] *= _MAX_PREDICTED_ANGLE / angle
     # errors of successive frames are correlated, so no prediction is better than one frame
     error = track.measurement_covariance
-    covariance = np.stack([rest_covariance(dt, s) + error, limit_covariance(on + error), np.diag(start**2)])
+    covariance = np.stack([random_walk_covariance(dt, s) + error, limit_covariance(on + error), np.diag(start**2)])
     return MotionMixture(shift, covariance, track.motion_probability * (1.0 - _BIRTH_PROBABILITY), _birth(tracker))
 
 
 def random_walk(dt: float, tracker: WandTracker) -> MotionMixture:
     """Return the random walk over dt s (Grzonka 2005, chapter 4), with births."""
-    covariance = rest_covariance(dt, tracker.settings)[None]
+    covariance = random_walk_covariance(dt, tracker.settings)[None]
     return MotionMixture(np.zeros((1, 6)), covariance, np.array([1.0 - _BIRTH_PROBABILITY]), _birth(tracker))
 
 
@@ -51,7 +51,7 @@ def _birth(tracker: WandTracker) -> float:
     return _BIRTH_PROBABILITY / (volume * 8.0 * np.pi**2)
 
 
-def rest_covariance(dt: float, s: WandSettings) -> Array:
+def random_walk_covariance(dt: float, s: WandSettings) -> Array:
     """Return the covariance of the random walk over dt s, (6, 6) m², rad²."""
     walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
     return np.diag(walk**2 * (dt / _THESIS_DT))

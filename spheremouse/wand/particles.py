@@ -135,25 +135,28 @@ def move(particles: Particles, motions: MotionMixture, rng: np.random.Generator)
 def propose(
     particles: Particles, motions: MotionMixture, peaks: PeakMixture, blind: float, n: int, rng: np.random.Generator
 ) -> tuple[Particles, Array, NDArray[np.int64]]:
-    """Draw n particles from the products of motions and peaks, the fraction `blind` of them from the motions alone.
+    """Draw n particles from the products of motions and peaks. With probability `blind`, one is from motions alone.
 
-    Return the particles of equal weight, the logarithm (n,) of the factor that corrects their weight, and the index
-    (n,) of each one's nearest peak. The corrected weight is still to be multiplied by the likelihood. Parents are
-    resampled by their weight under the peaks if fewer than half of them would be effective.
+    Return the particles, of equal weight, log p(x | parent) / q(x | parent) of each, (n,), and the index (n,) of its
+    nearest peak. The caller adds the log-likelihood. There must be a peak.
+
+    The first stage (Pitt, Shephard 1999) weighs each particle by the mass of its products with the peaks. If fewer than
+    half of the particles are effective in it, or n is another number, it resamples the parents; the returned logarithm
+    compensates for that.
     """
     proposal = kernels.Proposal(
         motions.shift, motions.covariance, motions.probability, motions.birth,
         peaks.position, peaks.rotation, peaks.covariance, peaks.log_mass,
     )  # fmt: skip
-    products, difference = proposal.score(particles.position, particles.rotation)
+    products, from_peak = proposal.score(particles.position, particles.rotation)  # pose differences (N, m k, 6)
     births = np.broadcast_to(np.log(motions.birth) + peaks.log_mass, (len(products), len(peaks.log_mass)))
     score = np.concatenate([products, births], axis=1)
-    most = np.max(score, axis=1)
-    responsibility = np.exp(score - most[:, None])
+    highest = np.max(score, axis=1)
+    responsibility = np.exp(score - highest[:, None])
     total = np.sum(responsibility, axis=1)
     responsibility /= total[:, None]
     log_weight = np.log(np.maximum(particles.weight, 1e-300))
-    first_stage, _ = normalise(log_weight + most + np.log(total))
+    first_stage, _ = normalise(log_weight + highest + np.log(total))
     correction = log_weight
     if effective_number(first_stage) < _MIN_EFFECTIVE * len(first_stage) or n != len(first_stage):
         parent = low_variance_indices(first_stage, n, rng.random())
@@ -161,13 +164,13 @@ def propose(
     else:
         parent = np.arange(n)
     base = Particles(particles.position[parent], particles.rotation[parent], np.full(n, 1.0 / n))
-    responsibility, difference = responsibility[parent], difference[parent]
-    chosen = np.argmax(np.cumsum(responsibility, axis=1) > rng.random(n)[:, None], axis=1)
-    alone = rng.random(n) < blind
-    drawn = move(Particles(base.position[alone], base.rotation[alone], base.weight[alone]), motions, rng)
-    position, rotation = proposal.draw(chosen, difference, rng.standard_normal((n, 6)))
-    position[alone], rotation[alone] = drawn.position, drawn.rotation
+    responsibility, from_peak = responsibility[parent], from_peak[parent]
+    component = np.argmax(np.cumsum(responsibility, axis=1) > rng.random(n)[:, None], axis=1)
+    blindly = rng.random(n) < blind
+    moved = move(Particles(base.position[blindly], base.rotation[blindly], base.weight[blindly]), motions, rng)
+    position, rotation = proposal.draw(component, from_peak, rng.standard_normal((n, 6)))
+    position[blindly], rotation[blindly] = moved.position, moved.rotation
     ratio, nearest = proposal.log_ratio(
-        base.position, base.rotation, position, rotation, difference, responsibility, blind
+        base.position, base.rotation, position, rotation, from_peak, responsibility, blind
     )
     return Particles(position, rotation, base.weight), ratio + correction, nearest

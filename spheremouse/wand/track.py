@@ -30,7 +30,7 @@ from spheremouse.wand.motions import (
     max_acceleration,
     motion_probabilities,
     possible_motions,
-    rest_covariance,
+    random_walk_covariance,
 )
 from spheremouse.wand.particles import (
     MotionMixture,
@@ -330,7 +330,13 @@ def _gate(modes: Modes, track: Track, motions: MotionMixture, context: SearchCon
 def _predict_hidden(
     track: Track, stamp: float, dt: float, context: SearchContext, rng: np.random.Generator, modes: Modes
 ) -> tuple[Track, WandPose]:
-    """Predict a ball that does not show, for the time `lost_after`; after that it is lost."""
+    """Return the track and the pose to report after a frame that does not show a tracked ball.
+
+    For `lost_after` s after the last measurement, the particles spread by a random walk about the last pose, and the
+    ball stays TRACKING with the event BallHidden. Then it is LOST, but not before its second frame without measurement.
+    `stamp` s is that of the frame, and `dt` s the time since the frame before. `modes` are the rejected peaks; the pose
+    reports the match of the best one.
+    """
     assert track.particles is not None
     assert track.pose_velocity is not None
     s, ball = context.tracker.settings, context.ball
@@ -339,7 +345,9 @@ def _predict_hidden(
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(Status.LOST, stamp=stamp, seen=track.seen, evidence=track.evidence)
         return lost, WandPose(ball.name, None, None, None, Status.LOST, missing_ball(ball, track.seen), match)
-    walk = MotionMixture(np.zeros((1, 6)), rest_covariance(dt, s)[None], np.ones(1), 0.0)
+    walk = MotionMixture(
+        shift=np.zeros((1, 6)), covariance=random_walk_covariance(dt, s)[None], probability=np.ones(1), birth=0.0
+    )
     particles = move(track.particles, walk, rng)
     pose = mean_pose(particles)
     after = replace(
@@ -347,7 +355,7 @@ def _predict_hidden(
         particles=particles,
         pose=pose,
         pose_velocity=predict(track.pose_velocity, stamp, max_acceleration(s)),
-        measurement_covariance=np.zeros((6, 6)),
+        measurement_covariance=np.zeros((6, 6)),  # no measurement
         stamp=stamp,
         unseen_frames=frames,
     )
