@@ -17,9 +17,9 @@ _MAX_VARIANCE_FACTOR = 4.0  # twice the usual standard deviation
 _MIN_RMS_RATIO = 2.0  # of an outlying photo over the others
 _MIN_CHECKED_DISCS = 8  # in three photos or more: four determine a sphere, as many check it
 _GROUPS = ("target", "disc")
-_ENOUGH = 2.5e-3  # of the radius: half of the standard deviation in Wittich 2017, table 11
+_MAX_RELATIVE_SIGMA = 2.5e-3  # of the radius: half of the standard deviation in Wittich 2017, table 11
 _MIN_SIGMA = 1e-4  # m, the thickness of paper: a disc lies no closer on the ball
-_LARGE_SHARE = 0.5  # of the radius's variance: without it the standard deviation falls by 30 %
+_LARGE_VARIANCE_SHARE = 0.5  # of the radius's variance: without it the standard deviation falls by 30 %
 # Least angles of a photo from a side, degrees: half of what a frame's targets allow; below, the floor is near.
 _MIN_ANGLES = {"from the left": 20.0, "from the right": 20.0, "from above": 20.0, "from below": 5.0}
 _COORDINATES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
@@ -77,8 +77,8 @@ def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
     known = f"{_COORDINATES[worst]} is the least certain, ± {_length(sigma[worst], calibration)}"
     if not calibration.scale_free:
         known += f", {100.0 * part:.2g} % of the radius"
-    if part > _ENOUGH:
-        return Advice("warning", f"Not good yet: {known}; tracking wants {100.0 * _ENOUGH:g} %.")
+    if part > _MAX_RELATIVE_SIGMA:
+        return Advice("warning", f"Not good yet: {known}; tracking wants {100.0 * _MAX_RELATIVE_SIGMA:g} %.")
     return Advice("note" if odd else "good", f"Good enough to play{', but see below' if odd else ''}: {known}.")
 
 
@@ -93,18 +93,20 @@ def _length(value: float, calibration: DeviceCalibration) -> str:
 
 
 def _further_work(c: DeviceCalibration, poor: bool) -> Iterator[Advice]:
+    """Yield the photos and lengths that would help most; as warnings if the result is `poor`."""
     kind = "warning" if poor else "note"
     sides = missing_sides(np.array([pose.position for pose in c.poses]), c.targets.mean(axis=0))
     if sides:
         text = (
-            f"No photo is {' or '.join(sides)}: take two there, as far round as three targets are in view. Photos from "
-            "all sides help most."
+            f"No photo is {' or '.join(sides)}: take two from each such side, as far round as the camera "
+            "sees three targets. Photos from all sides help most."
         )
         yield Advice(kind, text)
     sigma = float(np.sqrt(c.ball_covariance[3, 3]))
+    # standard deviation of the radius by that of the distances
     tape = 0.0 if c.scale_free else c.radius / np.sqrt(sum((d.metres / d.sigma) ** 2 for d in c.device.distances))
-    limits = sigma > _MIN_SIGMA and tape**2 > _LARGE_SHARE * sigma**2
-    if limits:
+    tape_limits = sigma > _MIN_SIGMA and tape**2 > _LARGE_VARIANCE_SHARE * sigma**2
+    if tape_limits:
         n = len(c.device.distances)
         text = (
             f"The scale rests on {n} tape distance{'' if n == 1 else 's'}, which leave{'s' if n == 1 else ''} the "
@@ -112,8 +114,8 @@ def _further_work(c: DeviceCalibration, poor: bool) -> Iterator[Advice]:
             "steel tape held taut."
         )
         yield Advice(kind, text)
-    if poor and not (sides or limits):
-        yield Advice(kind, "Take further photos, from places between those there are and from nearer.")
+    if poor and not (sides or tape_limits):
+        yield Advice(kind, "Take further photos: from places between the present ones, and from nearer.")
 
 
 # ---- faults ----
@@ -132,7 +134,7 @@ def _findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
             "sphere (standard deviation), more than the measurements explain. The radius is that of the best sphere. "
             "Its uncertainty includes this."
         )
-        yield Advice("warning" if c.out_of_round > _ENOUGH * c.radius else "note", text)
+        yield Advice("warning" if c.out_of_round > _MAX_RELATIVE_SIGMA * c.radius else "note", text)
     often = int(np.count_nonzero(c.sightings >= 3))
     if often < min(_MIN_CHECKED_DISCS, len(c.discs)):
         text = (

@@ -21,36 +21,36 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 
 POINTS = "or give points on its edge: --points X,Y X,Y X,Y"
-_TURN = "turn the ball by a quarter and more while you film all of it with a still camera"
+_TURN_HINT = "turn the ball by a quarter and more while you film all of it with a still camera"
 
 _DARK, _BRIGHT = 25.0, 250.0  # grey values
 _SMOOTH = 0.8  # px, standard deviation of the Gaussian before all else
 _SAME_LIGHT = 0.2  # of the logarithm of the light: frames with another light are left out
-_LEAST_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
-_NOISES = 4.0  # standard deviations of the noise, the same
-_LEAST_AREA = 0.002  # of the picture
-_SMALLEST = 16  # px, side of a picture
-_BORDER = 1000  # points of the border in RANSAC
+_MIN_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
+_MIN_CHANGE_SIGMAS = 4.0  # standard deviations of the noise, the same
+_MIN_AREA = 0.002  # of the picture
+_MIN_SIDE = 16  # px, side of a picture
+_MAX_BORDER_POINTS = 1000  # points of the border in RANSAC
 _TRIALS = 2000
-_GRID = 40  # pixels along a side of the picture, the same
-_FEWEST = 30  # points
-_LEAST_PART = 0.003  # of the largest region that moves: others are noise
-_NARROWEST = 1.0 + 1e-6  # secant squared of the angular radius
-_IN_FRONT = 1.1  # radii, least depth of a ball's centre
-_NEAR, _NEAR_PX = 0.01, 3.0  # of the radius, and px: a point of the border that fits
-_LEAST_SUPPORT = 0.3  # of the outline, on which an edge is
-_LEAST_IN_PICTURE = 0.7  # of the outline
+_GRID_SIDE = 40  # pixels along a side of the picture, the same
+_MIN_POINTS = 30  # of a border or an outline
+_MIN_REGION = 0.003  # of the largest region that moves: others are noise
+_MIN_SECANT_SQUARED = 1.0 + 1e-6  # of the angular radius
+_MIN_DEPTH = 1.1  # radii, least depth of a ball's centre
+_MAX_OFF, _MAX_OFF_PX = 0.01, 3.0  # of the radius, and px: a point of the border that fits
+_MIN_SUPPORT = 0.3  # of the outline, on which an edge is
+_MIN_IN_PICTURE = 0.7  # of the outline
 _ROUND, _AS_LARGE = 0.6, 0.3  # of what moves and of its outline, that are one; of the first: another ball
-_RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius, and at least _REACH px, in which an edge is looked for
-_REACH = 4.0
-_EDGE = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
-_SHARPEST = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTH` and differences
+_SEARCH_RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius: in which an edge is looked for, one pass after another
+_MIN_SEARCH_PX = 4.0  # px, the same
+_EDGE_RATIO = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
+_MIN_BLUR = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTH` and differences
 _SAMPLING = 0.25  # px
-_OUTSIDE = 6  # samples
-_FAINT = 0.02  # of the variance within: less is noise
-_QUIET = 0.25  # of the variance within: the background
+_OUTSIDE_SAMPLES = 6  # samples
+_MIN_EDGE_VARIANCE = 0.02  # of the variance within: less is noise
+_MAX_BACKGROUND_VARIANCE = 0.25  # of the variance within: the background
 _STEP_PX, _STEP = 2.5, 5.0  # px, and grey values a pixel: of a step of the mean picture
-_ENOUGH = 0.5  # steps, of the edges
+_MIN_STEP_SHARE = 0.5  # steps, of the edges
 _STEP_FLOOR_PX, _STEP_SHARED = (0.08, 0.12), (0.3, 0.3)  # as those below, by steps
 _FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
 _SHARED = (0.7, 1.0)  # of the scatter of the edges, which many of them share: the pattern is finer at the limb
@@ -78,9 +78,9 @@ def find_outline(
     change = change_of(grey, light_of(grey))
     moving = _moving(change)
     first = start or _ransac(moving, camera)
-    blur = float(np.hypot(_SHARPEST, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
-    outline, edges = _refined(change, first, camera, _EDGE / blur)
-    if _has_other(moving, change, outline, camera, _EDGE / blur):
+    blur = float(np.hypot(_MIN_BLUR, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
+    outline, edges = _refined(change, first, camera, _EDGE_RATIO / blur)
+    if _has_other(moving, change, outline, camera, _EDGE_RATIO / blur):
         raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")
     return outline, edges
 
@@ -126,12 +126,12 @@ def light_of(images: Sequence[Image]) -> Array:
 
 def _moving(change: Change) -> Image:
     """Return 255 where pixels change, without specks, (h, w)."""
-    least = max(_LEAST_CHANGE, _NOISES * change.noise)
+    least = max(_MIN_CHANGE, _MIN_CHANGE_SIGMAS * change.noise)
     mask = (change.variance > least**2).astype(np.uint8) * 255
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8)), np.uint8)
-    if np.count_nonzero(mask) < _LEAST_AREA * mask.size or min(mask.shape) < _SMALLEST:
-        raise CalibrationError("nothing moves in the pictures", f"{_TURN}, {POINTS}")
+    if np.count_nonzero(mask) < _MIN_AREA * mask.size or min(mask.shape) < _MIN_SIDE:
+        raise CalibrationError("nothing moves in the pictures", f"{_TURN_HINT}, {POINTS}")
     return mask
 
 
@@ -141,38 +141,43 @@ def _border(moving: Image) -> Array:
     areas = np.array([cv2.contourArea(c) for c in contours])
     if len(contours) == 0:
         return np.zeros((0, 2))
-    large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area >= _LEAST_PART * areas.max()]
+    large = [c[:, 0] for c, area in zip(contours, areas, strict=True) if area >= _MIN_REGION * areas.max()]
     points = np.concatenate(large).astype(float)
     h, w = moving.shape
     points = points[np.all((points > 2) & (points < (w - 3, h - 3)), axis=1)]
-    return points[np.linspace(0, len(points) - 1, min(len(points), _BORDER)).astype(int)]
+    return points[np.linspace(0, len(points) - 1, min(len(points), _MAX_BORDER_POINTS)).astype(int)]
 
 
 def _ransac(moving: Image, camera: InteriorOrientation) -> Outline:
-    """Return the cone through three points of the border that most of it lies on, with most of what moves in it."""
+    """Return the outline that fits the border of what moves best: a circular cone of rays, fitted to its border points.
+
+    A ray x is on a cone with axis n/|n| and angle arccos(1/|n|) if n x = 1, so three points of the border determine n.
+    The score is the number of border points on the cone, times the share of moving pixels that it contains, times the
+    share of its pixels that move. Raises CalibrationError if there is no such cone in front of the camera.
+    """
     border, (h, w) = _border(moving), moving.shape
-    every = np.stack(np.meshgrid(*(np.linspace(1, side - 2, _GRID) for side in (w, h))), axis=-1).reshape(-1, 2)
-    moves = moving[tuple(every[:, ::-1].astype(int).T)] > 0
-    rays, grid = rays_of(border, camera), rays_of(every, camera)
-    if len(rays) < _FEWEST:
+    pixels = np.stack(np.meshgrid(*(np.linspace(1, side - 2, _GRID_SIDE) for side in (w, h))), axis=-1).reshape(-1, 2)
+    moves = moving[tuple(pixels[:, ::-1].astype(int).T)] > 0
+    rays, grid = rays_of(border, camera), rays_of(pixels, camera)
+    if len(rays) < _MIN_POINTS:
         raise _no_ball()
     A = rays[np.random.default_rng(0).integers(0, len(rays), (_TRIALS, 3))]
     A = A[np.abs(np.linalg.det(A)) > 1e-9]
-    n = np.linalg.solve(A, np.ones((len(A), 3, 1)))[:, :, 0]
+    n = np.linalg.solve(A, np.ones((len(A), 3, 1)))[:, :, 0]  # (t, 3), one of each trial
     square = np.sum(n**2, axis=1)
-    n = n[(square > _NARROWEST) & (n[:, 2] > _IN_FRONT * np.sqrt(np.maximum(square - 1.0, 0.0)))]
-    if len(n) == 0:
-        raise _no_ball()
+    n = n[(square > _MIN_SECANT_SQUARED) & (n[:, 2] > _MIN_DEPTH * np.sqrt(np.maximum(square - 1.0, 0.0)))]
     cos = 1.0 / np.linalg.norm(n, axis=1)
     angle = np.arccos(cos)[:, None]
-    near = np.minimum(_NEAR * angle, _NEAR_PX / np.sqrt(camera.fx * camera.fy))
-    fits = np.abs(np.arccos(np.clip(cos[:, None] * (n @ rays.T), -1.0, 1.0)) - angle) < near
+    tolerance = np.minimum(_MAX_OFF * angle, _MAX_OFF_PX / np.sqrt(camera.fx * camera.fy))
+    fits = np.abs(np.arccos(np.clip(cos[:, None] * (n @ rays.T), -1.0, 1.0)) - angle) < tolerance
     inside = n @ grid.T > 1.0
     common = np.count_nonzero(inside & moves, axis=1)
     contained = common / max(1, np.count_nonzero(moves))
     filled = np.minimum(1.0, 2.0 * common / np.maximum(1, np.count_nonzero(inside, axis=1)))  # half may be hidden
-    best = int(np.argmax(np.count_nonzero(fits, axis=1) * contained * filled))
-    return _robust(rays[fits[best]], None)
+    score = np.count_nonzero(fits, axis=1) * contained * filled
+    if not score.any():
+        raise _no_ball()
+    return _robust(rays[fits[np.argmax(score)]], None)
 
 
 def _robust(rays: Array, start: Outline | None) -> Outline:
@@ -183,16 +188,16 @@ def _robust(rays: Array, start: Outline | None) -> Outline:
 
 
 def _no_ball() -> CalibrationError:
-    return CalibrationError("no ball turns in the pictures", f"{_TURN}, {POINTS}")
+    return CalibrationError("no ball turns in the pictures", f"{_TURN_HINT}, {POINTS}")
 
 
 def _refined(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> tuple[Outline, Array]:
     """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px, and those."""
     f = np.sqrt(camera.fx * camera.fy)
     pixels, edges = outline.pixels(camera), np.zeros((0, 2))
-    for part in _RANGES:
-        edges = _edges(change, pixels, max(_REACH, part * f * outline.angle), level)
-        if len(edges) < _FEWEST:
+    for part in _SEARCH_RANGES:
+        edges = _edges(change, pixels, max(_MIN_SEARCH_PX, part * f * outline.angle), level)
+        if len(edges) < _MIN_POINTS:
             raise _no_ball()
         outline = _robust(rays_of(edges, camera), outline)
         pixels = outline.pixels(camera)
@@ -201,15 +206,17 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
     fits = np.abs(off) < max(1.5, 3.0 * scatter)
     inside = float(np.mean(np.all((pixels >= 0.0) & (pixels < (camera.width, camera.height)), axis=1)))
     support = float(np.count_nonzero(fits)) / len(pixels)
-    if inside < _LEAST_IN_PICTURE:
+    if inside < _MIN_IN_PICTURE:
         raise CalibrationError(
             f"only {inside:.0%} of the ball's outline is in the picture", f"turn the camera, {POINTS}"
         )
-    if support < _LEAST_SUPPORT:
-        raise CalibrationError(f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN}, {POINTS}")
+    if support < _MIN_SUPPORT:
+        raise CalibrationError(
+            f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN_HINT}, {POINTS}"
+        )
     edges, floor_px, shared = edges[fits], _FLOOR_PX, _SHARED
     steps = _steps(change.mean, outline, edges, camera)
-    if len(steps) > _ENOUGH * len(edges):
+    if len(steps) > _MIN_STEP_SHARE * len(edges):
         outline = _robust(rays_of(steps, camera), outline)
         off = residuals(outline, rays_of(steps, camera)) * f
         scatter, edges, floor_px, shared = float(mad_sigma(off)), steps, _STEP_FLOOR_PX, _STEP_SHARED
@@ -228,21 +235,23 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     variance, xx, xy, yy = (_sampled(part, at) for part in (change.variance, *np.moveaxis(change.gradient, -1, 0)))
     x, y = normal[:, None, 0], normal[:, None, 1]
     gradient = x * x * xx + 2.0 * x * y * xy + y * y * yy
-    outside, within = (np.median(variance[:, k], axis=1) for k in (slice(_OUTSIDE), slice(-_OUTSIDE, None)))
+    outside, within = (
+        np.median(variance[:, k], axis=1) for k in (slice(_OUTSIDE_SAMPLES), slice(-_OUTSIDE_SAMPLES, None))
+    )
     variance = np.maximum(variance - outside[:, None], 1e-6)
-    gradient = np.maximum(gradient - np.median(gradient[:, :_OUTSIDE], axis=1)[:, None], 0.0)
-    ratio = np.where(variance > _FAINT * within[:, None], np.sqrt(gradient / variance), np.inf)
+    gradient = np.maximum(gradient - np.median(gradient[:, :_OUTSIDE_SAMPLES], axis=1)[:, None], 0.0)
+    ratio = np.where(variance > _MIN_EDGE_VARIANCE * within[:, None], np.sqrt(gradient / variance), np.inf)
     h, w = change.variance.shape
     seen = np.all((at >= 1.0) & (at <= (w - 2, h - 2)), axis=(1, 2))
-    clear = within > max(_LEAST_CHANGE, _NOISES * change.noise) ** 2
-    ok = np.flatnonzero(seen & clear & (outside < _QUIET * within))
+    clear = within > max(_MIN_CHANGE, _MIN_CHANGE_SIGMAS * change.noise) ** 2
+    ok = np.flatnonzero(seen & clear & (outside < _MAX_BACKGROUND_VARIANCE * within))
     ratio = ratio[ok]
     k = np.argmax(ratio < level, axis=1)
     i = np.arange(len(ratio))
     before, after = ratio[i, k - 1], ratio[i, k]
     with np.errstate(invalid="ignore", divide="ignore"):
         edge = np.where(np.isfinite(before), k - (level - after) / (before - after), k - 0.5)
-    place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE], ok[k > _OUTSIDE]
+    place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE_SAMPLES], ok[k > _OUTSIDE_SAMPLES]
     return pixels[i] + place[:, None] * normal[i]
 
 

@@ -40,30 +40,35 @@ _CELLS = 12  # rows and columns of the ball's image, for errors that depend on t
 def adjust_rolling(
     sightings: Sightings, start: Rolling, camera: InteriorOrientation, readout_sigma: float = 0.0
 ) -> RollingAdjustment:
-    """Adjust all unknowns to the sightings, without those that contradict the rest.
+    """Adjust all unknowns to the sightings: first by Huber's function, then by least squares without outliers.
 
-    `readout_sigma` s is the standard deviation of the start's readout; 0: it is exact. Frames and discs without
-    information are left out of the result. Raises CalibrationError if too little is left.
+    The start's readout is an observation with a standard deviation of `readout_sigma` s; with 0 it is fixed. The
+    interior orientation is fixed, but its covariance enters that of the result, and so does the correlation of errors
+    in time and place. Discs and frames with too few sightings are not in the result. Raises CalibrationError if fewer
+    than five discs are left, or if there is no minimum.
     """
-    known = start.readout, readout_sigma
-    at, used = _compact(start, sightings)
-    at, there = minimise(at, used, camera, known, _HUBER_KNEE)
+    readout = start.readout, readout_sigma
+    at, used = _without_weak(start, sightings)
+    at, eliminated = minimise(at, used, camera, readout, knee=_HUBER_KNEE)
     robust = True
     while True:
-        test = outlier_statistic(there.equations.residual, there.residual_cofactors())
+        test = outlier_statistic(eliminated.equations.residual, eliminated.residual_cofactors())
         limit = _OUTLIER_CHI2 * max(float(np.median(test)) / _CHI2_MEDIAN, 1.0)
         # gross errors enlarge other residuals: the largest go first
         fits = test <= max(limit, _OUTLIER_SHARE * float(test.max()))
         if not robust and fits.all():
             break
-        at, used = _compact(at, used.take(fits))
-        at, there = minimise(at, used, camera, known, None)
+        at, used = _without_weak(at, used.take(fits))
+        at, eliminated = minimise(at, used, camera, readout, knee=None)
         robust = False
-    return _result(at, used, len(sightings) - len(used), there, camera)
+    return _result(at, used, len(sightings) - len(used), eliminated, camera)
 
 
-def _compact(at: Rolling, s: Sightings) -> tuple[Rolling, Sightings]:
-    """Remove discs seen too rarely, frames with fewer than two, and all that is not linked with the rest."""
+def _without_weak(at: Rolling, s: Sightings) -> tuple[Rolling, Sightings]:
+    """Remove discs seen in fewer than five frames, frames with fewer than two discs, and all not linked with the rest.
+
+    Raises CalibrationError if fewer than five discs are left.
+    """
     while True:
         seen = np.bincount(s.disc, minlength=len(at.discs))
         shown = np.bincount(s.frame, minlength=len(at.attitude))
@@ -92,10 +97,10 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
 
 
 def _result(
-    at: Rolling, s: Sightings, rejected: int, there: Eliminated, camera: InteriorOrientation
+    at: Rolling, s: Sightings, rejected: int, eliminated: Eliminated, camera: InteriorOrientation
 ) -> RollingAdjustment:
-    equations = there.equations
-    Q, J = there.cofactors, there.reduced()
+    equations = eliminated.equations
+    Q, J = eliminated.cofactors, eliminated.reduced()
     number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))
     factor = float(variance_factors(equations.residual.ravel(), number, [np.ones(2 * len(s), dtype=bool)])[0])
     gradient = np.einsum("nik,ni->nk", J, equations.residual)

@@ -55,7 +55,7 @@ class RollingAdjustment:
     readout_sigma: float  # s
     sightings: Sightings
     residual: Array  # (n, 2) px
-    rejected: int  # sightings that contradict the others
+    rejected: int  # sightings that contradict the others, or are of discs and frames with too few
     variance_factor: float  # of the sightings, over the assumed variance
     correlation: float  # factor on the variances of the result for errors that are correlated in time or place
     by_lens: Array  # (4, 9) errors of direction and ratio per standard deviation along `lens_root`
@@ -173,9 +173,9 @@ class Eliminated:
 
 
 def minimise(
-    at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float | None
+    at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], *, knee: float | None
 ) -> tuple[Rolling, Eliminated]:
-    """Minimise the sum of squares, or of Huber's function with its `knee`.
+    """Minimise the sum of Huber's function with its `knee`, in standard deviations; None: the sum of squares.
 
     `readout` is the expected one and its standard deviation, s. Raises CalibrationError if there is no minimum.
     """

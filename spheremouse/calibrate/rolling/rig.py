@@ -234,34 +234,36 @@ def _joint(rolled: RollingAdjustment, axes: Axes) -> Array:
 def place_camera(
     rolled: RollingAdjustment, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0
 ) -> tuple[Pose, Ball]:
-    """Return the camera in `obj` and the ball, with their joint covariance.
+    """Return the camera's pose in `obj`, with the centre of the ball as origin, and the ball, with joint covariance.
 
-    `radius`, m, is a known one; without it, the axes' distance gives the radius, and the camera's place is independent
-    of the ratio.
+    A known `radius` and its standard deviation, m, give the scale. Without them the scale is that of `axes.distance`,
+    from the camera to the centre, which must be known. The ratio of distance and radius then gives the radius, and the
+    camera's position does not depend on it.
     """
     rolling = rolled.rolling
-    R, c = axes.rotation, rolling.direction
+    R, direction = axes.rotation, rolling.direction
     by_distance = radius is None
     if radius is None:
         assert axes.distance is not None
         radius = axes.distance / rolling.ratio
-    P = -radius * rolling.ratio * (R @ c)
-    by = np.zeros((7, 9))  # pose and radius, of: axes, log distance, direction and ratio, radius
-    by[:3, :3], by[3:6, :3] = -hat(P), np.eye(3)
-    by[:3, 4:7] = -radius * rolling.ratio * R
+    P = -radius * rolling.ratio * (R @ direction)
+    # of position (3), rotation (3) and radius, by axes (3), log distance, direction (3), ratio and known radius
+    J = np.zeros((7, 9))
+    J[:3, :3], J[3:6, :3] = -hat(P), np.eye(3)
+    J[:3, 4:7] = -radius * rolling.ratio * R
     if by_distance:
-        by[:3, 3] = P
-        by[6, 3], by[6, 7] = radius, -radius / rolling.ratio
+        J[:3, 3] = P
+        J[6, 3], J[6, 7] = radius, -radius / rolling.ratio
     else:
-        by[:3, 7] = P / rolling.ratio
-        by[:3, 8], by[6, 8] = P / radius, 1.0
+        J[:3, 7] = P / rolling.ratio
+        J[:3, 8], J[6, 8] = P / radius, 1.0
     C = np.zeros((9, 9))
     C[:8, :8], C[8, 8] = _joint(rolled, axes), radius_sigma**2
-    C = by @ C @ by.T
+    C = J @ C @ J.T
     C = 0.5 * (C + C.T)
-    with_ball = np.zeros((6, 4))
-    with_ball[:, 3] = C[:6, 6]
-    return Pose(R, P, C[:6, :6], with_ball), Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, C[6, 6]]))
+    cross = np.zeros((6, 4))  # of the pose with the ball's centre (3), which is exact, and radius
+    cross[:, 3] = C[:6, 6]
+    return Pose(R, P, C[:6, :6], cross), Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, C[6, 6]]))
 
 
 def target_ball_covariance(axes: Axes, radius: float) -> Array:
@@ -300,14 +302,15 @@ def place_targets(
     c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation
     X = (found.position - radius * ratio * c) @ R.T
     n = len(X)
-    by = np.zeros((3 * n, 3 * n + 3 + 5))
+    # of the targets in obj, by targets in cam (3n), axes (3), direction (3), ratio and radius
+    J = np.zeros((3 * n, 3 * n + 3 + 5))
     for k in range(n):
         rows = slice(3 * k, 3 * k + 3)
-        by[rows, rows] = R
-        by[rows, 3 * n : 3 * n + 3] = -hat(X[k])
-        by[rows, 3 * n + 3 : 3 * n + 6] = -radius * ratio * R
-        by[rows, 3 * n + 6] = -radius * (R @ c)
-        by[rows, 3 * n + 7] = -ratio * (R @ c)
+        J[rows, rows] = R
+        J[rows, 3 * n : 3 * n + 3] = -hat(X[k])
+        J[rows, 3 * n + 3 : 3 * n + 6] = -radius * ratio * R
+        J[rows, 3 * n + 6] = -radius * (R @ c)
+        J[rows, 3 * n + 7] = -ratio * (R @ c)
     C = np.zeros((3 * n + 8, 3 * n + 8))
     C[: 3 * n + 3, : 3 * n + 3] = found.covariance
     C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
@@ -315,7 +318,7 @@ def place_targets(
     C[: 3 * n + 3, 3 * n + 3 : 3 * n + 7], C[3 * n + 3 : 3 * n + 7, : 3 * n + 3] = alike, alike.T
     C[-1, -1] = radius_sigma**2
     cross = np.zeros((3 * n, 4))
-    cross[:, 3] = by[:, -1] * radius_sigma**2
+    cross[:, 3] = J[:, -1] * radius_sigma**2
     number: dict[str, int] = dict(zip(device.codes, device.ids, strict=True))
     ids = tuple(number[code] for code in found.codes)
-    return Targets(ids, found.codes, X, by @ C @ by.T, np.asarray(device.target_radii, dtype=float)), cross
+    return Targets(ids, found.codes, X, J @ C @ J.T, np.asarray(device.target_radii, dtype=float)), cross
