@@ -90,7 +90,7 @@ def figure_of(page: Page) -> "Figure":
     figure = Figure(figsize=(w / 25.4, h / 25.4))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, w), ylim=(0.0, h))
     axes.set_axis_off()
-    for i, shape in enumerate((*page.shapes, *_furniture(page))):
+    for i, shape in enumerate((*page.shapes, *_rulers_and_text(page))):
         shape.set_zorder(i)
         axes.add_artist(shape)
     return figure
@@ -134,7 +134,7 @@ def lines(ends: Array | Sequence[Sequence[float]], width: float = HAIR, colour: 
     return PathPatch(path, fill=False, edgecolor=colour, linewidth=width * _POINTS_PER_MM, capstyle="butt")
 
 
-def words(
+def text_line(
     x: float,
     y: float,
     text: str,
@@ -143,7 +143,10 @@ def words(
     bold: bool = False,
     max_width: float | None = None,
 ) -> "Text":
-    """Return a line of text with its baseline at x, y; one wider than `max_width` is set smaller than `size`."""
+    """Return a line of text with its baseline at x, y mm. `size` is its height, mm.
+
+    A line wider than `max_width` mm gets a smaller size.
+    """
     from matplotlib.font_manager import FontProperties
     from matplotlib.text import Text
     from matplotlib.textpath import TextPath
@@ -161,17 +164,18 @@ def words(
 CHECK = "Both rulers must be 100 mm: print at 100 % (actual size), no “fit to page”."
 
 
-def _furniture(page: Page) -> "Iterator[Artist]":
+def _rulers_and_text(page: Page) -> "Iterator[Artist]":
+    """Yield the rulers, with the request to check them below, and to their right the page's title and notes."""
     x, y = _LEFT, 9.0
     yield from _ruler(x, y)
     yield from _ruler(x - 4.0, y, upwards=True)
-    wording = x + _RULER_LENGTH + 6.0
-    max_width = page.paper.width - _MARGIN - wording
+    right = x + _RULER_LENGTH + 6.0
+    max_width = page.paper.width - _MARGIN - right
     title = f"{page.title}, {page.paper.name.capitalize()}"
-    yield words(wording, 13.2, title, 3.3, bold=True, max_width=max_width)
+    yield text_line(right, 13.2, title, 3.3, bold=True, max_width=max_width)
     for k, note in enumerate(page.notes):
-        yield words(wording, 9.6 - 3.2 * k, note, 2.4, max_width=max_width)
-    yield words(x, 6.3, CHECK, 2.3, max_width=_RULER_LENGTH)
+        yield text_line(right, 9.6 - 3.2 * k, note, 2.4, max_width=max_width)
+    yield text_line(x, 6.3, CHECK, 2.3, max_width=_RULER_LENGTH)
 
 
 def _ruler(x: float, y: float, upwards: bool = False) -> "Iterator[Artist]":
@@ -186,6 +190,6 @@ def _ruler(x: float, y: float, upwards: bool = False) -> "Iterator[Artist]":
     for cm in range(0, int(_RULER_LENGTH) + 1, 10):
         unit = " mm" if cm == _RULER_LENGTH else ""
         at = (x - 4.3, y + cm) if upwards else (x + cm, y + 4.3)
-        label = words(*at, f"{cm}{unit}", 1.9, "center")
+        label = text_line(*at, f"{cm}{unit}", 1.9, "center")
         label.set_rotation(90.0 if upwards else 0.0)
         yield label

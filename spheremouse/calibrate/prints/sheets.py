@@ -25,7 +25,7 @@ from spheremouse.calibrate.prints.page import (
     disc,
     lines,
     paper,
-    words,
+    text_line,
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.files.report.page import page
@@ -68,11 +68,11 @@ def target_pages(radii: Sequence[float], paper_name: str) -> list[Page]:
         yield lines([(a, b, c, b), (c, b, c, d), (c, d, a, d), (a, d, a, b)])
         yield _ticks(x, y, half - 2.5, half, 0.25)
         near, high = half - 1.5, half - 1.7
-        yield words(x - near, y - high, f"{number} {code}", 4.0, bold=True)
-        yield words(x + near, y - high, size, 2.1, "right")
+        yield text_line(x - near, y - high, f"{number} {code}", 4.0, bold=True)
+        yield text_line(x + near, y - high, size, 2.1, "right")
         for k, ink in enumerate(code):
-            yield words(x - near, y + half - 3.5 - 2.8 * k, _NAMES[ink], 2.1)
-        yield words(x + near, y + half - 3.5, "from inside", 2.1, "right")
+            yield text_line(x - near, y + half - 3.5 - 2.8 * k, _NAMES[ink], 2.1)
+        yield text_line(x + near, y + half - 3.5, "from inside", 2.1, "right")
 
     sheet = paper(paper_name)
     places = _grid(sheet, 2.0 * half, f"--ring-radii: a target of {mm(2 * radii[2])} mm")
@@ -90,7 +90,7 @@ def disc_pages(n: int, radius: float, paper_name: str) -> list[Page]:
         yield disc(x, y, radius)
         yield circle(x, y, radius + 1.0, GREY, HAIR)
         yield _ticks(x, y, radius + 1.0, radius + 2.8, 0.15)
-        yield words(x + radius + 2.2, y - radius - 1.6, str(number), 3.2, "right")
+        yield text_line(x + radius + 2.2, y - radius - 1.6, str(number), 3.2, "right")
 
     sheet = paper(paper_name)
     places = _grid(sheet, 2.0 * radius + 6.0, f"--disc-radius: a disc of {mm(2 * radius)} mm")
