@@ -26,8 +26,8 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log, t
 # px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
 # strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).
 MATCH = 3.0
-_FINEST = 1e-4  # px: no picture shows a centre better, and a noise of 0 has no information matrix
-_LEAST = 20  # centres of a size class: their RMS is good to a tenth where errors are independent
+_MIN_SIGMA = 1e-4  # px: no picture shows a centre better, and a noise of 0 has no information matrix
+_MIN_CLASS_SIZE = 20  # centres of a size class: their RMS is good to a tenth where errors are independent
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def _by_class(area: Array, square: Array) -> Array:
     few = np.zeros(len(area), dtype=bool)
     for value in np.unique(octave[whole]):
         few |= whole & (octave == value)
-        if np.count_nonzero(few) >= _LEAST:
+        if np.count_nonzero(few) >= _MIN_CLASS_SIZE:
             groups.append(few)
             few = np.zeros(len(area), dtype=bool)
     if few.any():
@@ -100,18 +100,18 @@ def _by_class(area: Array, square: Array) -> Array:
     cut = ~whole
     if cut.any():
         worst = float(sigma.max(initial=0.0))
-        sigma[cut] = _rms(square[cut]) if np.count_nonzero(cut) >= _LEAST else max(worst, _rms(square[cut]))
+        sigma[cut] = _rms(square[cut]) if np.count_nonzero(cut) >= _MIN_CLASS_SIZE else max(worst, _rms(square[cut]))
     return sigma
 
 
 def _rms(square: Array) -> float:
-    return max(float(np.sqrt(np.mean(square))), _FINEST)
+    return max(float(np.sqrt(np.mean(square))), _MIN_SIGMA)
 
 
 # ---- the bound ----
 
-_UNKNOWN = 100.0  # rad/s, standard deviation of an unknown rate
-_FREE = 9  # unknowns that are not a disc's
+_UNKNOWN_RATE_SIGMA = 100.0  # rad/s, standard deviation of an unknown rate
+_MOTION_DIM = 9  # unknowns that are not a disc's
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,27 +143,28 @@ def manoeuvre(motion: Truth) -> Manoeuvre:
 
 
 def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, rig: Rig, pose: Pose) -> Bound:
-    """Return the bound for n frames of true motion, with the measurements `sights` of each frame.
+    """Return the bound for a true motion of n frames, with n measurements `sights`.
 
-    `directions` (m, 3) are unit vectors to the discs in `ball`, and `pose` is the true one. The state is (rotation
-    error, rate, acceleration, two tangent coordinates of each disc seen so far). The recursion is carried in covariance
-    form, (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly and has no
-    finite information. A disc's first detection enters as the limit of an infinite prior.
+    `directions` (m, 3) are unit vectors to the discs, in the frame `ball`. `pose` is the camera's true one. The state
+    has the rotation error, rate and angular acceleration in `obj`, and two tangent coordinates of each disc seen so
+    far. The recursion of the information matrix is J' = (F J^-1 F^T + Q)^-1 + H^T R^-1 H. This function computes the
+    covariance P = J^-1 as a Kalman filter does, because the first attitude is exact and its information is infinite.
+    The first detection of a disc adds its two coordinates, without a prior.
     """
     model = manoeuvre(motion)
     basis = tangent_basis(directions)
-    place = np.full(len(directions), -1)  # of a disc's coordinates in the state
-    P = np.diag(np.concatenate([np.zeros(3), np.full(3, _UNKNOWN**2), model.sigma**2]))
+    index = np.full(len(directions), -1)  # of each disc's coordinates in the state; -1: not seen yet
+    P = np.diag(np.concatenate([np.zeros(3), np.full(3, _UNKNOWN_RATE_SIGMA**2), model.sigma**2]))
     attitude, rate = np.empty((len(motion), 3, 3)), np.empty((len(motion), 3, 3))
     for k in range(len(motion)):
         if k:
             P = _predicted(P, motion, k, model)
         discs, sigma = sights[k].disc, sights[k].sigma
-        on_attitude, on_disc = _jacobians(motion.attitude[k], directions[discs], basis[discs], rig, pose)
-        known = place[discs] >= 0
-        P = _measured(P, on_attitude[known], on_disc[known], place[discs[known]], sigma[known])
-        place[discs[~known]] = len(P) + 2 * np.arange(np.count_nonzero(~known))
-        P = _augmented(P, on_attitude[~known], on_disc[~known], sigma[~known])
+        by_attitude, by_disc = _jacobians(motion.attitude[k], directions[discs], basis[discs], rig, pose)
+        known = index[discs] >= 0
+        P = _measured(P, by_attitude[known], by_disc[known], index[discs[known]], sigma[known])
+        index[discs[~known]] = len(P) + 2 * np.arange(np.count_nonzero(~known))
+        P = _augmented(P, by_attitude[~known], by_disc[~known], sigma[~known])
         attitude[k], rate[k] = P[:3, :3], P[3:6, 3:6]
     return Bound(attitude, rate)
 
@@ -172,16 +173,16 @@ def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
     """Return the covariance predicted for frame k >= 1, F P F^T + Q, from that of the frame before."""
     dt = motion.stamp[k] - motion.stamp[k - 1]
     turn = log(motion.attitude[k] @ motion.attitude[k - 1].T)
-    F = np.eye(_FREE)
+    F = np.eye(_MOTION_DIM)
     F[:3, :3] = exp(turn)
     F[:3, 3:6] = left_jacobian(turn) * dt
     F[:3, 6:] = 0.5 * dt * F[:3, 3:6]
     F[3:6, 6:] = dt * np.eye(3)
     F[6:, 6:] = np.diag(model.lasting)
     P = P.copy()
-    P[:_FREE] = F @ P[:_FREE]
-    P[:, :_FREE] = P[:, :_FREE] @ F.T
-    P[6:_FREE, 6:_FREE] += np.diag(model.sigma**2 * (1.0 - model.lasting**2))
+    P[:_MOTION_DIM] = F @ P[:_MOTION_DIM]
+    P[:, :_MOTION_DIM] = P[:, :_MOTION_DIM] @ F.T
+    P[6:_MOTION_DIM, 6:_MOTION_DIM] += np.diag(model.sigma**2 * (1.0 - model.lasting**2))
     return P
 
 
@@ -196,31 +197,31 @@ def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) 
     return -duv @ hat(arm), rig.ball.radius * duv @ R @ basis
 
 
-def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.intp], sigma: Array) -> Array:
+def _measured(P: Array, by_attitude: Array, by_disc: Array, index: NDArray[np.intp], sigma: Array) -> Array:
     """Return the covariance after k discs of the state were measured, with `sigma` (k,) px per axis.
 
-    `on_attitude` and `on_disc` are from `_jacobians`; `place` (k,) is the index of a disc's coordinates in the state.
+    `by_attitude` and `by_disc` are from `_jacobians`; `index` (k,) is that of a disc's coordinates in the state.
     """
-    k = len(place)
+    k = len(index)
     H = np.zeros((k, 2, len(P)))
-    H[:, :, :3] = on_attitude
+    H[:, :, :3] = by_attitude
     for i in range(k):
-        H[i, :, place[i] : place[i] + 2] = on_disc[i]
+        H[i, :, index[i] : index[i] + 2] = by_disc[i]
     H = H.reshape(2 * k, len(P))
     HP = H @ P
     P = P - HP.T @ np.linalg.solve(HP @ H.T + np.diag(np.repeat(sigma**2, 2)), HP)
     return 0.5 * (P + P.T)
 
 
-def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: Array) -> Array:
+def _augmented(P: Array, by_attitude: Array, by_disc: Array, sigma: Array) -> Array:
     """Return the covariance with k discs added that are seen for the first time, with `sigma` (k,) px per axis.
 
     Their places follow from the attitude and the measurement. The Jacobians are from `_jacobians`.
     """
-    k, n = len(on_disc), len(P)
-    inverse = np.linalg.inv(on_disc)
+    k, n = len(by_disc), len(P)
+    inverse = np.linalg.inv(by_disc)
     G = np.zeros((2 * k, n))
-    G[:, :3] = -(inverse @ on_attitude).reshape(2 * k, 3)
+    G[:, :3] = -(inverse @ by_attitude).reshape(2 * k, 3)
     out = np.empty((n + 2 * k, n + 2 * k))
     out[:n, :n] = P
     out[n:, :n] = G @ P

@@ -19,23 +19,23 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.native import kernels
 
 _ONE_CHANNEL = np.ones(1, dtype=np.float32)
-_PRINT = 0.8  # contrast of black print on white
-_CLIPPED = 254  # grey value: overexposed pixels have this one or 255
-_FINE = 14.0  # px, diameter of a disc in the reduced picture: a finer picture shows no more spots
-_LARGEST = 3.0  # largest diameter of a spot, in diameters of a disc
-_FAINT = 0.05  # contrast of the faintest spots: uneven paint has less
-_ROUND = 0.8  # least area of a spot over that of the ellipse in its box; a strut's corner has less
-_BLURRED = 2.4  # px: in such blur the detector finds few discs of any size; `blur_of` saturates at 3 to 4
-_BLURRED_PART = 0.25  # of a disc's diameter: so wide a Gaussian removes a seventh of the contrast, and the rim
-_SOME = 3  # spots: fewer are no evidence for the whole ball
+_PRINT_CONTRAST = 0.8  # contrast of black print on white
+_CLIPPED_GREY = 254  # grey value: overexposed pixels have this one or 255
+_REDUCED_DIAMETER = 14.0  # px, diameter of a disc in the reduced picture: a finer picture shows no more spots
+_MAX_SPOT_SIZE = 3.0  # largest diameter of a spot, in diameters of a disc
+_MIN_SPOT_CONTRAST = 0.05  # contrast of the faintest spots: uneven paint has less
+_MIN_ROUNDNESS = 0.8  # least area of a spot over that of the ellipse in its box; a strut's corner has less
+_MAX_BLUR = 2.4  # px: in such blur the detector finds few discs of any size; `blur_of` saturates at 3 to 4
+_MAX_RELATIVE_BLUR = 0.25  # of a disc's diameter: so wide a Gaussian removes a seventh of the contrast, and the rim
+_MIN_SPOTS = 3  # spots: fewer are no evidence for the whole ball
 
 # of `blur_of`
-_AGAIN = 1.5  # px, standard deviation of the blur that is added
-_CALM = 1.0  # px, of a blur before all else, against noise; taken off again
-_DIFFERENCE = 1.0 / 3.0  # px², of a central difference, which is a blur, too
-_STEEPEST = 1e-3  # part of the picture, whose slope is the measure of others
-_PART = 0.5  # of that slope, from which on an edge counts
-_NOISE = 6.0  # times the median slope, which is that of noise
+_ADDED_BLUR = 1.5  # px, standard deviation of the blur that is added
+_NOISE_BLUR = 1.0  # px, of a blur before all else, against noise; taken off again
+_DIFFERENCE_VARIANCE = 1.0 / 3.0  # px², of a central difference, which is a blur, too
+_STEEPEST_SHARE = 1e-3  # part of the picture, whose slope is the measure of others
+_MIN_RELATIVE_SLOPE = 0.5  # of that slope, from which on an edge counts
+_MIN_SLOPE_OVER_NOISE = 6.0  # times the median slope, which is that of noise
 
 
 class Cause(StrEnum):
@@ -77,7 +77,7 @@ class _Spot:
 def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> Absence:
     """Return the reason for detecting no disc in an image, (h, w, 3) BGR or (h, w), from a camera at `pose`."""
     grey, mask = _ball(image, rig, pose)
-    middle, noise, fault = _light(grey, mask)
+    middle, noise, fault = _exposure(grey, mask)
     disc = largest_disc(rig, pose)
     if fault is not None:
         return Absence(fault, middle, disc=disc)
@@ -88,10 +88,10 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
         own, reverse, wrong = dark, _discs(light, settings), Cause.LIGHTER
     if settings.polarity == "auto" and len(reverse) > len(_discs(own, settings)):
         own = light  # the detector accepts both polarities
-    elif len(reverse) >= _SOME and len(reverse) > len(_discs(own, settings)):
+    elif len(reverse) >= _MIN_SPOTS and len(reverse) > len(_discs(own, settings)):
         return _shown(wrong, reverse, middle, disc)
     blur = blur_of(grey)
-    if blur > min(_BLURRED, _BLURRED_PART * disc):
+    if blur > min(_MAX_BLUR, _MAX_RELATIVE_BLUR * disc):
         return Absence(Cause.BLURRED, middle, size=blur, disc=disc)
     return _by_spots(own, middle, disc, settings)
 
@@ -99,9 +99,9 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
 def why_no_pattern(image: Image, rig: Rig, pose: Pose, known: bool) -> Absence:
     """Return the reason for not following a ball by its pattern, which is `known` once the ball has turned."""
     grey, mask = _ball(image, rig, pose)
-    middle, _, fault = _light(grey, mask)
+    middle, _, fault = _exposure(grey, mask)
     blur = blur_of(grey)
-    if fault is None and blur > _BLURRED:
+    if fault is None and blur > _MAX_BLUR:
         return Absence(Cause.BLURRED, middle, size=blur)
     return Absence(fault or (Cause.UNLIKE if known else Cause.UNTURNED), middle)
 
@@ -115,14 +115,19 @@ def _ball(image: Image, rig: Rig, pose: Pose) -> tuple[Image, Image]:
     return np.ascontiguousarray(grey, dtype=np.uint8), mask[window]
 
 
-def _light(grey: Image, mask: Image) -> tuple[float, float, Cause | None]:
-    """Return the median and the noise of the ball's grey values, and the fault if the ball is too dark or bright."""
+def _exposure(grey: Image, mask: Image) -> tuple[float, float, Cause | None]:
+    """Return the ball's median grey value, the picture's noise, and the fault if the ball is too dark or bright.
+
+    `grey` and `mask`, (h, w), are those of `_ball`. The noise is a standard deviation, in grey values. The ball is too
+    dark if the detector would not see the edge of a printed disc in its brightest part.
+    """
     values = grey[mask > 0]
     noise = kernels.noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1])
     fault = None
-    if np.percentile(values, 95.0) < (4.0 * noise + 1.0) / (0.5 * _PRINT):  # the detector's limit for a disc's edge
+    least_edge = 4.0 * noise + 1.0  # grey values: the detector's limit, at half of a disc's contrast
+    if np.percentile(values, 95.0) < least_edge / (0.5 * _PRINT_CONTRAST):
         fault = Cause.DARK
-    elif np.mean(values >= _CLIPPED) > 0.5:
+    elif np.mean(values >= _CLIPPED_GREY) > 0.5:
         fault = Cause.BRIGHT
     return float(np.median(values)), noise, fault
 
@@ -132,10 +137,10 @@ def _by_spots(spots: list[_Spot], grey: float, disc: float, settings: DiscSettin
     clear = [s for s in spots if s.contrast >= settings.contrast]
     alike = _largest_group(clear, settings.size_tolerance)
     size = float(np.median([s.size for s in alike])) if alike else 1.0
-    if len(alike) >= _SOME and abs(size - 1.0) > settings.size_tolerance:
+    if len(alike) >= _MIN_SPOTS and abs(size - 1.0) > settings.size_tolerance:
         return _shown(Cause.SIZE, alike, grey, disc)
     faint = [s for s in spots if s.contrast < settings.contrast and abs(s.size - 1.0) < settings.size_tolerance]
-    if len(faint) >= max(_SOME, len(clear)):
+    if len(faint) >= max(_MIN_SPOTS, len(clear)):
         return _shown(Cause.FAINT, faint, grey, disc)
     return _shown(Cause.SHAPE if spots else Cause.PLAIN, spots, grey, disc)
 
@@ -164,18 +169,18 @@ def _spots(grey: Image, mask: Image, disc: float, noise: float) -> list[_Spot]:
 
     `disc` px is the diameter of a disc of the rig.
     """
-    f = max(int(np.rint(disc / _FINE)), 1)
+    f = max(int(np.rint(disc / _REDUCED_DIAMETER)), 1)
     if f > 1:
         size = (grey.shape[1] // f, grey.shape[0] // f)
         grey, mask = (cv2.resize(g, size, interpolation=cv2.INTER_AREA) for g in (grey, mask))
     on = mask == 255
     calm = cv2.GaussianBlur(grey, (0, 0), 0.8)
     calm[~on] = 0  # so that a bright background does not make the limb a dark region
-    width = 2 * int(np.ceil(0.5 * _LARGEST * disc / f)) + 1
+    width = 2 * int(np.ceil(0.5 * _MAX_SPOT_SIZE * disc / f)) + 1
     around = cv2.morphologyEx(calm, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8)).astype(np.float32)
     depth = around - calm
     contrast = depth / np.maximum(around, 1.0)
-    seen = (depth > np.maximum(_FAINT * around, 4.0 * noise / f + 1.0)) & on
+    seen = (depth > np.maximum(_MIN_SPOT_CONTRAST * around, 4.0 * noise / f + 1.0)) & on
     spots = []
     for contour in cv2.findContours(seen.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
         x, y, w, h = cv2.boundingRect(contour)
@@ -203,7 +208,7 @@ def _spot(contour: Image, contrast: Image, on: Image, disc: float) -> _Spot | No
     a, b = a + 1.0, b + 1.0  # the outline runs through pixel centres
     area = cv2.contourArea(outline) + 0.5 * len(outline) + 1.0
     inside = on[cv2.dilate(core, np.ones((3, 3), np.uint8)) > 0].all()
-    if not inside or area < _ROUND * 0.25 * np.pi * a * b or max(a, b) > _LARGEST * disc:
+    if not inside or area < _MIN_ROUNDNESS * 0.25 * np.pi * a * b or max(a, b) > _MAX_SPOT_SIZE * disc:
         return None
     return _Spot(max(a, b) / disc, strength)
 
@@ -215,15 +220,19 @@ def blur_of(image: Image) -> float:
     more of its slope, the sharper it was (Zhuo, Sim 2011, "Defocus map estimation from a single image", eq. 4-6).
     """
     grey = (image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)).astype(np.float32)
-    calm = cv2.GaussianBlur(grey, (0, 0), _CALM)
-    slope, slope_again = _slope(calm), _slope(cv2.GaussianBlur(calm, (0, 0), _AGAIN))
-    least = max(_PART * float(np.quantile(slope, 1.0 - _STEEPEST)), _NOISE * float(np.median(slope)), 1.0)
+    calm = cv2.GaussianBlur(grey, (0, 0), _NOISE_BLUR)
+    slope, slope_again = _slope(calm), _slope(cv2.GaussianBlur(calm, (0, 0), _ADDED_BLUR))
+    least = max(
+        _MIN_RELATIVE_SLOPE * float(np.quantile(slope, 1.0 - _STEEPEST_SHARE)),
+        _MIN_SLOPE_OVER_NOISE * float(np.median(slope)),
+        1.0,
+    )
     steep = (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8))) & (slope >= least)
     if not steep.any():
         return float("nan")
     ratio = float(np.median(slope[steep] / np.maximum(slope_again[steep], 1e-6)))
-    whole = _AGAIN**2 / max(ratio**2 - 1.0, 1e-6)
-    return float(np.sqrt(max(whole - _CALM**2 - _DIFFERENCE, 0.0)))
+    whole = _ADDED_BLUR**2 / max(ratio**2 - 1.0, 1e-6)
+    return float(np.sqrt(max(whole - _NOISE_BLUR**2 - _DIFFERENCE_VARIANCE, 0.0)))
 
 
 def _slope(grey: Image) -> Image:

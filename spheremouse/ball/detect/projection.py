@@ -17,10 +17,10 @@ from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.geometry.rotation import Array
 
 _CORE, _AROUND = 0.5, (1.5, 2.2)  # in radii of a disc: pixels of the disc and of the ball around it, without the rim
-_FEWEST_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
-_FEWEST_DISCS = 3
-_EVERY = 4  # the noise is measured in every fourth row
-_FACING = 0.3  # of the largest disc's area: a disc seen more obliquely has no core without blur
+_MIN_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
+_MIN_DISCS = 3
+_ROW_STEP = 4  # the noise is measured in every fourth row
+_MIN_FACING_AREA = 0.3  # of the largest disc's area: a disc seen more obliquely has no core without blur
 
 
 class Projection(NamedTuple):
@@ -105,21 +105,22 @@ class ColourContrast(NamedTuple):
 
 
 def colour_contrast(image: Image, mask: Image, found: Detections, diameter: float) -> ColourContrast | None:
-    """Return the contrast of the discs `found` in a picture, (h, w, 3) BGR.
+    """Return the contrast of the discs `found` in a picture, (h, w, 3) BGR, of 8 bits.
 
-    `mask`, (h, w), is not 0 on the ball, and `diameter` px is that of a disc seen from in front. Returns None if fewer
-    than three discs face the camera.
+    `mask`, (h, w), is not 0 on the ball, and `diameter` px is that of a disc that faces the camera. Discs that are seen
+    too obliquely or show too few pixels do not count. Returns None if fewer than three count, or if they have no
+    contrast.
     """
-    differences = []
-    facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
+    by_disc = []
+    facing = found.take(found.area > _MIN_FACING_AREA * 0.25 * np.pi * diameter**2)
     for centre, area in zip(facing.centre, facing.area, strict=True):
-        core, around = _pixels(image, mask, centre, float(np.sqrt(area / np.pi)))
-        if min(len(core), len(around)) >= _FEWEST_PIXELS:
-            differences.append(np.median(around, axis=0) - np.median(core, axis=0))
-    difference = np.mean(differences, axis=0) if differences else np.zeros(3)
-    if len(differences) < _FEWEST_DISCS or not difference.any():
+        core, around = _core_and_ring(image, mask, centre, float(np.sqrt(area / np.pi)))
+        if min(len(core), len(around)) >= _MIN_PIXELS:
+            by_disc.append(np.median(around, axis=0) - np.median(core, axis=0))
+    difference = np.mean(by_disc, axis=0) if by_disc else np.zeros(3)
+    if len(by_disc) < _MIN_DISCS or not difference.any():
         return None
-    # rounding to integers gives each channel a variance of at least 1/12
+    # 1/12 is the variance of rounding to integers; without it a picture without noise has no inverse covariance
     return ColourContrast(difference, _noise_covariance(image, mask) + np.eye(3) / 12.0)
 
 
@@ -130,7 +131,7 @@ def _noise_covariance(image: Image, mask: Image) -> Array:
     two neighbours. Differences that are large in any channel are edges and do not count.
     """
     on = [np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0)]
-    ball = np.s_[on[0][0] // _EVERY * _EVERY : on[0][-1] + 1 : _EVERY, max(on[1][0] - 2, 0) : on[1][-1] + 3]
+    ball = np.s_[on[0][0] // _ROW_STEP * _ROW_STEP : on[0][-1] + 1 : _ROW_STEP, max(on[1][0] - 2, 0) : on[1][-1] + 3]
     rows = image[ball].astype(np.int16)
     second = (2 * rows[:, 2:-2] - rows[:, :-4] - rows[:, 4:])[mask[ball][:, 2:-2] > 0].astype(float)
     spread = 1.4826 * np.median(np.abs(second), axis=0)
@@ -138,7 +139,7 @@ def _noise_covariance(image: Image, mask: Image) -> Array:
     return flat.T @ flat / (6.0 * max(len(flat), 1))
 
 
-def _pixels(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
+def _core_and_ring(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
     """Return the colours of a disc's pixels, (n, 3), and of the ball around it, (m, 3)."""
     half = int(np.ceil(_AROUND[1] * radius)) + 1
     u, v = round(centre[0]), round(centre[1])
