@@ -45,24 +45,24 @@ def show(section: Section, console: Console) -> None:
 
 
 def summary(sections: Sequence[Section]) -> Text:
-    """Return the numbers of findings by verdict, in one line."""
-    every = [f.verdict for s in sections for f in s.findings]
-    bad, poor = every.count(Verdict.WRONG), every.count(Verdict.WARNING)
-    if bad:
-        return Text(f"{bad} wrong, {_counted(poor)}: mend the faults first, from the top", style="bold red")
-    if poor:
-        return Text(f"nothing wrong, {_counted(poor)}", style="bold yellow")
+    """Return one line with the numbers of wrong findings and warnings; others, such as unchecked ones, do not count."""
+    verdicts = [f.verdict for s in sections for f in s.findings]
+    wrong, warnings = verdicts.count(Verdict.WRONG), verdicts.count(Verdict.WARNING)
+    if wrong:
+        return Text(f"{wrong} wrong, {_warnings_text(warnings)}: mend the faults first, from the top", style="bold red")
+    if warnings:
+        return Text(f"nothing wrong, {_warnings_text(warnings)}", style="bold yellow")
     return Text("all is well", style="bold green")
 
 
 def data(sections: Sequence[Section]) -> dict[str, Any]:
     """Return the report as JSON data."""
-    every = [f.verdict for s in sections for f in s.findings]
+    verdicts = [f.verdict for s in sections for f in s.findings]
     return {
         "format": FORMAT,
         "version": __version__,
-        "wrong": every.count(Verdict.WRONG),
-        "warnings": every.count(Verdict.WARNING),
+        "wrong": verdicts.count(Verdict.WRONG),
+        "warnings": verdicts.count(Verdict.WARNING),
         "checks": [
             {
                 "subject": section.subject,
@@ -97,5 +97,5 @@ def _draws(console: Console) -> bool:
     return (console.encoding or "").lower().replace("-", "").startswith("utf")
 
 
-def _counted(n: int) -> str:
+def _warnings_text(n: int) -> str:
     return f"{n} warning{'' if n == 1 else 's'}"

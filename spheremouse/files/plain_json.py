@@ -12,14 +12,17 @@ MAX_DIGITS = 30  # of a whole number; 64 bits have 20
 
 
 def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = False) -> Any:
-    """Return the data of a JSON text.
+    """Return the data of a JSON text, as `json.loads` does, but refuse what this module names.
 
-    `constants` allows NaN and Infinity, which `json.dumps` writes. `surrogates` allows half a surrogate pair, which
-    encodes a byte of a file's name. Raises json.JSONDecodeError, with the line, for invalid JSON, else ValueError.
+    `constants` allows NaN and Infinity, which `json.dumps` writes. `surrogates` allows half a surrogate pair: Python
+    represents a byte of a file's name that is not UTF-8 by one (`surrogateescape`). Raises json.JSONDecodeError, which
+    has the line, for invalid JSON, and ValueError without a line for valid JSON that is refused.
     """
-    constant = None if constants else _no_constant
+    constant = None if constants else _refuse_constant
     try:
-        data = json.loads(text, parse_constant=constant, parse_int=_integer, object_pairs_hook=_no_twice)
+        data = json.loads(
+            text, parse_constant=constant, parse_int=_bounded_integer, object_pairs_hook=_refuse_repeated_key
+        )
     except RecursionError:
         raise ValueError(f"nested deeper than {MAX_DEPTH} levels") from None
     _check(data, MAX_DEPTH, surrogates)
@@ -39,17 +42,17 @@ def said(error: ValueError) -> str:
     return " ".join(words.split())[:120]
 
 
-def _integer(text: str) -> int:
+def _bounded_integer(text: str) -> int:
     if len(text) > MAX_DIGITS:
         raise ValueError(f"a whole number of {len(text)} digits")
     return int(text)
 
 
-def _no_constant(name: str) -> Any:
+def _refuse_constant(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
 
 
-def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _refuse_repeated_key(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data = dict(pairs)
     if len(data) < len(pairs):
         raise ValueError("a key stands twice in one object")

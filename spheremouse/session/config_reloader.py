@@ -106,16 +106,22 @@ def describe_changes(values: Values) -> str:
 
 
 def differences(before: RunConfig, now: RunConfig) -> list[str]:
-    """Return the names of the changed sections, without those that the tracker does not read."""
+    """Return the names of the sections of the configuration that have changed.
+
+    Settings that the tracker of `now` does not read do not count. Rigs, lenses and balls are compared by path and
+    content, the map by its path.
+    """
     a, b = before.configuration, now.configuration
     if b.tracker == "wand":
-        tuned = any(getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points"))
-        moved = a.wand.pointing != b.wand.pointing
+        tracker_changed = any(
+            getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points")
+        )
+        motion_changed = a.wand.pointing != b.wand.pointing
     else:
-        tuned = any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__)
-        moved = a.motion != b.motion
-    found = {
-        "tracker": tuned,
+        tracker_changed = any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__)
+        motion_changed = a.motion != b.motion
+    changed = {
+        "tracker": tracker_changed,
         "source": before.source != now.source or a.camera != b.camera,
         "output": before.outputs != now.outputs,
         "rig": before.rig_path != now.rig_path
@@ -123,11 +129,11 @@ def differences(before: RunConfig, now: RunConfig) -> list[str]:
         or not _same(before.camera, now.camera),
         "map": before.map_path != now.map_path,
         "balls": before.ball_paths != now.ball_paths or not _same(before.balls, now.balls),
-        "motion": moved,
+        "motion": motion_changed,
     }
     for name in ("pointer", "record", *AT_START):
-        found[name] = getattr(a, name) != getattr(b, name)
-    return [name for name, other in found.items() if other]
+        changed[name] = getattr(a, name) != getattr(b, name)
+    return [name for name, differs in changed.items() if differs]
 
 
 def _same(a: Any, b: Any) -> bool:

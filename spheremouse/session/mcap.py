@@ -26,7 +26,7 @@ from spheremouse.tracker import Status
 
 _MAX_SECONDS = 2**32 - 1  # of a stamp in the well-known schemas
 _SCENE_PERIOD_S = 1.0  # between two scenes of the same discs, whose places the tracker refines
-_PIXEL = 0.5  # px from a pixel's centre, the origin of our axes, to its corner, that of Foxglove's
+_HALF_PIXEL = 0.5  # px from a pixel's centre, the origin of our axes, to its corner, that of Foxglove's
 _GAP = 0.02  # radii that a drawn disc stands out of the ball
 _CIRCLE = np.stack([np.cos(t := np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)), np.sin(t)], axis=1)
 _COLOURS = {
@@ -275,8 +275,8 @@ def _sample_schema() -> dict[str, Any]:
 
 def image_annotations(marks: dict[str, Any], stamp: Any) -> Any:
     """Return ImageAnnotations of the marks of `TrackerAdapter.annotations`."""
-    lines = [_loop(np.reshape(points, (-1, 2)), "others", stamp) for points in marks.get("others", [])]
-    lines.append(_loop(np.reshape(marks["outline"], (-1, 2)), "outline", stamp))
+    lines = [_closed_line(np.reshape(points, (-1, 2)), "others", stamp) for points in marks.get("others", [])]
+    lines.append(_closed_line(np.reshape(marks["outline"], (-1, 2)), "outline", stamp))
     for disc in marks["detected"]:
         lines.append(_ellipse(disc, disc["shape"], "used" if disc["used"] else "unused", stamp))
     for disc in marks["predicted"]:
@@ -297,12 +297,13 @@ def _ellipse(at: dict[str, Any], shape: list[float], colour: str, stamp: Any) ->
     xx, xy, yy = shape
     values, vectors = np.linalg.eigh([[xx, xy], [xy, yy]])
     rim = _CIRCLE @ (vectors * np.sqrt(values.clip(0.0))).T
-    return _loop(rim + np.array([at["x"], at["y"]]), colour, stamp)
+    return _closed_line(rim + np.array([at["x"], at["y"]]), colour, stamp)
 
 
-def _loop(points: Array, colour: str, stamp: Any) -> Any:
+def _closed_line(points: Array, colour: str, stamp: Any) -> Any:
+    """Return a PointsAnnotation of the polygon through points (n, 2) px, with a colour of `_COLOURS`."""
     m = _messages()
-    corners = [m.Point2(x=x, y=y) for x, y in (points + _PIXEL).tolist()]
+    corners = [m.Point2(x=x, y=y) for x, y in (points + _HALF_PIXEL).tolist()]
     return m.PointsAnnotation(
         timestamp=stamp,
         type=m.PointsAnnotationType.LineLoop,
@@ -316,7 +317,7 @@ def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
     m = _messages()
     return m.TextAnnotation(
         timestamp=stamp,
-        position=m.Point2(x=mark["x"] + _PIXEL, y=mark["y"] + _PIXEL),
+        position=m.Point2(x=mark["x"] + _HALF_PIXEL, y=mark["y"] + _HALF_PIXEL),
         text=mark["code"],
         font_size=12.0,
         text_color=_colour(colour),

@@ -60,16 +60,21 @@ class Guide:
         return {"type": "guide", "lines": list(self._lines), **self._state}
 
     async def do(self, action: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """Carry out an action: `look`, `stop`, `run`, `steps` or `describe`.
+        """Carry out an action of the page, and return its answer: the steps, or an empty object.
 
-        The last two return the steps as `calibrate next --json` prints them, with the text of device.yaml as `device`
-        if that is the next step. The others return nothing. `look` and `run` end the command that runs. Raises
-        ControlError if an action is unknown, refused or fails.
+        - `look`: start the camera's preview. `run`: start a command of the next step (`_command` has the arguments).
+          Both end the command before.
+        - `stop`: end the command.
+        - `describe`: write the argument `text` into device.yaml, and return the steps as `steps` does.
+        - `steps`: return the steps as `calibrate next --json` prints them. If the next one is to fill in device.yaml,
+          `device` has its text.
+
+        Raises ControlError if an action is unknown, refused or fails.
         """
         if action == "look":
             source = [] if self._source is None else [self._source]
-            every = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
-            await self._start(LOOK, "preview", *source, *every)
+            options = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
+            await self._start(LOOK, "preview", *source, *options)
         elif action == "stop":
             await self.stop()
         elif action == "run":

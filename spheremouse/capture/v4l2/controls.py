@@ -25,16 +25,16 @@ from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.validate import nearest
 
-_MANUAL, _SHUTTER_PRIORITY = 1, 2  # values of V4L2_CID_EXPOSURE_AUTO with a known exposure
+_EXPOSURE_MANUAL, _EXPOSURE_SHUTTER_PRIORITY = 1, 2  # values of V4L2_CID_EXPOSURE_AUTO with a known exposure
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
-_MAINS = {0: 0, 50: 1, 60: 2}  # V4L2_CID_POWER_LINE_FREQUENCY
+_MAINS_FILTERS = {0: 0, 50: 1, 60: 2}  # V4L2_CID_POWER_LINE_FREQUENCY
 _MANUAL_CONTROLS = (  # setting, the control of its automatic (0: none), its own control, unit
     ("gain", ControlID.AUTOGAIN, ControlID.GAIN, ""),
     ("focus", ControlID.FOCUS_AUTO, ControlID.FOCUS_ABSOLUTE, ""),
     ("zoom", 0, ControlID.ZOOM_ABSOLUTE, ""),
     ("white_balance", ControlID.AUTO_WHITE_BALANCE, ControlID.WHITE_BALANCE_TEMPERATURE, " K"),
 )
-_SWITCH = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
+_ON_OFF = {"on": 1, "true": 1, "yes": 1, "off": 0, "false": 0, "no": 0}
 _INTEGER_TYPES = {
     ControlType.INTEGER,
     ControlType.BOOLEAN,
@@ -43,7 +43,7 @@ _INTEGER_TYPES = {
     ControlType.BITMASK,
 }
 _MAX_NAMES = 24  # in a message
-_FIXED = ControlFlag.READ_ONLY | ControlFlag.DISABLED | ControlFlag.GRABBED
+_FIXED_FLAGS = ControlFlag.READ_ONLY | ControlFlag.DISABLED | ControlFlag.GRABBED
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,25 +76,28 @@ class Controls:
             raise
 
     def _apply(self, settings: CameraSettings) -> list[str]:
+        """As `apply`, but keep changes on an error. Controls by name come last, so they can override the others."""
         words = []
         if settings.mains_hz is not None:
-            self._set(ControlID.POWER_LINE_FREQUENCY, _MAINS[settings.mains_hz], "mains_hz")
+            self._set_required(ControlID.POWER_LINE_FREQUENCY, _MAINS_FILTERS[settings.mains_hz], "mains_hz")
             words.append(f"mains {settings.mains_hz} Hz" if settings.mains_hz else "mains filter off")
         if settings.fps is not None or settings.exposure_s is not None:
-            self._switch(ControlID.EXPOSURE_AUTO_PRIORITY, 0)  # otherwise dim light lowers the rate
+            self._set_if_present(ControlID.EXPOSURE_AUTO_PRIORITY, 0)  # otherwise dim light lowers the rate
         if settings.exposure_s is not None:
-            self._switch(ControlID.EXPOSURE_AUTO, _MANUAL)
+            self._set_if_present(ControlID.EXPOSURE_AUTO, _EXPOSURE_MANUAL)
             units = max(1, round(settings.exposure_s / _EXPOSURE_UNIT))
-            got = self._set(ControlID.EXPOSURE_ABSOLUTE, units, "exposure_s", lambda n: f"{n * _EXPOSURE_UNIT:g} s")
+            got = self._set_required(
+                ControlID.EXPOSURE_ABSOLUTE, units, "exposure_s", lambda n: f"{n * _EXPOSURE_UNIT:g} s"
+            )
             words.append(f"exposure {1e3 * got * _EXPOSURE_UNIT:g} ms")
-        for name, automatic, which, unit in _MANUAL_CONTROLS:
+        for name, automatic, control_id, unit in _MANUAL_CONTROLS:
             if (value := getattr(settings, name)) is not None:
-                self._switch(automatic, 0)
-                words.append(f"{name.replace('_', ' ')} {self._set(which, value, name)}{unit}")
+                self._set_if_present(automatic, 0)
+                words.append(f"{name.replace('_', ' ')} {self._set_required(control_id, value, name)}{unit}")
         for text in settings.controls:
             name, _, value = (part.strip() for part in text.partition("="))
             control = self.find(name)
-            words.append(f"{name} {self._put(control, self._value(control, value), f'controls: {name}')}")
+            words.append(f"{name} {self._set_and_read(control, self._value(control, value), f'controls: {name}')}")
         return words
 
     def exposure(self) -> float | None:
@@ -102,7 +105,7 @@ class Controls:
         with contextlib.suppress(OSError):
             automatic = self._read(ControlID.EXPOSURE_AUTO)
             units = self._read(ControlID.EXPOSURE_ABSOLUTE)
-            if automatic in (None, _MANUAL, _SHUTTER_PRIORITY) and units:
+            if automatic in (None, _EXPOSURE_MANUAL, _EXPOSURE_SHUTTER_PRIORITY) and units:
                 return units * _EXPOSURE_UNIT
         return None
 
@@ -130,19 +133,23 @@ class Controls:
     def _read(self, which: int) -> int | None:
         return get_control(self.fd, which) if which in self.known else None
 
-    def _switch(self, which: int, value: int) -> None:
+    def _set_if_present(self, which: int, value: int) -> None:
         """Set a control if it exists and has another value."""
         control = self.known.get(which)
         if control is not None and not control.fixed and self._read(which) != value:
-            self._put(control, value, control.name)
+            self._set_and_read(control, value, control.name)
 
-    def _set(self, which: int, value: int, what: str, shown: Callable[[int], str] = str) -> int:
+    def _set_required(self, which: int, value: int, what: str, shown: Callable[[int], str] = str) -> int:
+        """Set the control that a setting `what` needs, and return the value that the camera reports.
+
+        `shown` formats a value for an error. Raises SourceError if the camera has no such control, or refuses.
+        """
         control = self.known.get(which)
         if control is None:
             raise SourceError(f"{self.path}: {what}: the camera has no such control; leave it out ({self._names()})")
-        return self._put(control, value, what, shown)
+        return self._set_and_read(control, value, what, shown)
 
-    def _put(self, control: Control, value: int, what: str, shown: Callable[[int], str] = str) -> int:
+    def _set_and_read(self, control: Control, value: int, what: str, shown: Callable[[int], str] = str) -> int:
         """Set a control and return the value that the camera reports."""
         if control.fixed:
             raise SourceError(f"{self.path}: {what}: cannot be set on this camera; leave it out")
@@ -167,8 +174,8 @@ class Controls:
         """Parse a number, on or off, or an item of the control's menu."""
         with contextlib.suppress(ValueError):
             return int(text, 0)
-        if control.type == ControlType.BOOLEAN and text.lower() in _SWITCH:
-            return _SWITCH[text.lower()]
+        if control.type == ControlType.BOOLEAN and text.lower() in _ON_OFF:
+            return _ON_OFF[text.lower()]
         items = self._menu(control)
         if text.lower() in items:
             return items[text.lower()]
@@ -196,7 +203,7 @@ def read_controls(fd: int, path: str) -> Controls:
     for info in iter_read_controls(fd):
         if info.type in _INTEGER_TYPES and not info.flags & ControlFlag.HAS_PAYLOAD:
             name = re.sub(r"[^a-z0-9]+", "_", _text(info.name).lower()).strip("_")
-            fixed = bool(info.flags & _FIXED)
+            fixed = bool(info.flags & _FIXED_FLAGS)
             known[info.id] = Control(info.id, name, info.type, info.minimum, info.maximum, fixed)
     return Controls(fd, path, known)
 

@@ -199,7 +199,12 @@ def serve(
     view: "Counting",
     frames: int | None,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
-    """Run as a daemon: take frames when they come, and wait for a device that fails. Return error and last words."""
+    """Run as a daemon, which takes frames when they come, and waits until a failed device works again.
+
+    `plan` has the settings, with the `overrides` of the command line. A reload reads it again. `stopping` is the
+    handler of signals, and `frames` the largest number of frames. Return the error that ended the run, None if there is
+    none, and the last lines to print. Raises SpheremouseError if the camera is in use.
+    """
     from spheremouse.session.cameras import refuse_if_taken
     from spheremouse.session.service import Daemon
     from spheremouse.session.setup import opener
@@ -210,7 +215,7 @@ def serve(
         overrides,
         plan,
         setup,
-        lambda other: setup.open_replay or opener(other, opened),
+        lambda new_plan: setup.open_replay or opener(new_plan, opened),  # the first call takes the open source
         log=view.log,
         show=view.show,
         frames=frames,
@@ -239,7 +244,7 @@ def follow(
     frames: int | None,
     smooth: bool = False,
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
-    """Track every frame of a recording, one after the other. Return error and last words."""
+    """Track every frame of a recording, one after the other. Parameters and result are those of `serve`."""
     from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
     from spheremouse.session.run_description import describe_run

@@ -70,7 +70,7 @@ def install(
         _by_hand(place, commands, dry_run)
     elif not _run(commands):
         raise typer.Exit(1)
-    _next(place)
+    _print_next_steps(place)
 
 
 @app.command(epilog="Example: sudo spheremouse service uninstall --purge")
@@ -222,7 +222,8 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
         typer.echo(f"  {sudo}{shlex.join(command)}")
 
 
-def _next(place: Place) -> None:
+def _print_next_steps(place: Place) -> None:
+    """Print the next commands after the installation: to calibrate and start, or to look at the status."""
     rig, user = place.configuration / "rig.yaml", " --user" if place.user else ""
     if not rig.exists():
         sudo = "" if place.user else "sudo "
@@ -232,6 +233,4 @@ def _next(place: Place) -> None:
     else:
         typer.echo(f"next: spheremouse ctl status; its log: journalctl{user} -u {UNIT}")
     if place.user and not os.access("/dev/uinput", os.W_OK):
-        typer.echo(
-            "for a mouse of this computer (uinput), your account needs rights that root must give: see docs/install.md"
-        )
+        typer.echo("to move this computer's pointer (uinput), your account needs rights from root: see docs/install.md")

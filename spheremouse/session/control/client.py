@@ -88,12 +88,12 @@ class Client:
 
     def status(self) -> StatusReport:
         """Return the daemon's status."""
-        return self._status(self.ask("status"))
+        return self._parse_status(self.ask("status"))
 
     def watch(self, interval: float = 1.0) -> Iterator[StatusReport | str]:
         """Yield a status every `interval` s, and each line of the daemon's log. NoDaemonError if the daemon ends."""
         for event in self.events(interval, samples=False):
-            yield self._status(event) if event.pop("event", None) == "status" else str(event.get("text", ""))
+            yield self._parse_status(event) if event.pop("event", None) == "status" else str(event.get("text", ""))
 
     def events(self, interval: float, *, samples: bool) -> Iterator[dict[str, Any]]:
         """Yield the events of docs/control.md as JSON objects: each status, log line and, if asked, sample.
@@ -142,13 +142,14 @@ class Client:
                     f"{self._path}: {printable(str(e))}; if the daemon has another version, restart it"
                 ) from None
 
-    def _status(self, reply: dict[str, Any]) -> StatusReport:
+    def _parse_status(self, reply: dict[str, Any]) -> StatusReport:
+        """Return the report of a reply. Raises NoDaemonError, and closes the connection, if it has another form."""
         try:
             return StatusReport.read(reply)
         except ControlError as e:
             self.close()
             raise NoDaemonError(
-                f"{self._path}: the answer is no status of spheremouse ({printable(str(e))}); if the "
+                f"{self._path}: the answer is not a status of spheremouse ({printable(str(e))}); if the "
                 "daemon has another version, restart it"
             ) from None
 

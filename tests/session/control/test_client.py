@@ -113,7 +113,7 @@ print(*sorted({"scipy", "cv2", "numpy"} & set(sys.modules)))"""
         (b'{"ok": true', "has ended or disconnected"),
         (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
         (b'{"ok": 1}\n', "refuses without a reason"),
-        (b'{"ok": true, "discs": 1.5}\n', r"is no status of spheremouse \(discs: Input should be a valid integer"),
+        (b'{"ok": true, "discs": 1.5}\n', r"is not a status of spheremouse \(discs: Input should be a valid integer"),
         (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "is no daemon of spheremouse"),
     ],
 )
