@@ -105,11 +105,15 @@ def _walls() -> list[Shape]:
 
 
 def _shelves() -> list[Shape]:
-    """Two boards over the ball with books, boxes and balls, many in the colours of the targets."""
+    """Two boards on the back wall, above the ball, with books, boxes and small balls.
+
+    They are false candidates: many have the colours of the targets, or the black of the discs. Every second book stands
+    on the upper board too, mirrored and in the colour of another one.
+    """
     back, shapes = _BACK_Z, []
     for y in (0.98, 1.47):
         shapes += box((-1.7, y - 0.03, back), (1.7, y, back + 0.28), _WOOD)
-    books = (
+    books = (  # x of the left side, width and height, m; colour
         (-1.62, 0.09, 0.30, INK["M"]), (-1.52, 0.06, 0.26, (0.45, 0.12, 0.06)), (-1.45, 0.10, 0.33, (0.10, 0.10, 0.11)),
         (-1.34, 0.05, 0.27, PAPER), (-0.95, 0.16, 0.14, INK["C"]), (-0.52, 0.08, 0.31, (0.05, 0.28, 0.08)),
         (-0.43, 0.07, 0.27, (0.03, 0.06, 0.45)), (-0.35, 0.10, 0.30, INK["Y"]), (-0.24, 0.05, 0.24, (0.35, 0.2, 0.3)),
@@ -121,7 +125,7 @@ def _shelves() -> list[Shape]:
         low, high = (x, 0.98, back + 0.03), (x + width - 0.008, 0.98 + height, back + 0.22)
         shapes += box(low, high, colour, 0.02 * (i % 3 - 1))
         if i % 2 == 0:
-            low, high = (-x - width, 1.47, back + 0.04), (-x - width + width, 1.47 + 0.9 * height, back + 0.2)
+            low, high = (-x - width, 1.47, back + 0.04), (-x, 1.47 + 0.9 * height, back + 0.2)
             shapes += box(low, high, books[-1 - i][3])
     for x, y, r, colour in (
         (-1.12, 0.98, 0.085, (0.40, 0.16, 0.42)), (-0.68, 0.98, 0.06, (0.05, 0.08, 0.6)), (0.80, 0.98, 0.075, INK["M"]),
