@@ -136,6 +136,7 @@ def test_commands_refuse_what_needs_discs_in_one_line(recording, words, says):
     assert says in " ".join(output.split())
 
 
+@pytest.mark.slow
 def test_a_run_saves_its_picture_and_the_next_one_recognises_it(recording, tmp_path):
     file = tmp_path / "a.yaml"
     words = ("run", "--source", f"dataset:{recording}", "--output", "null", "--map", file)
@@ -175,6 +176,7 @@ def test_the_report_names_the_detector_and_has_no_figures_of_discs(recording):
     assert re.search(r"RMSE / bound: attitude, rate *│ *–  – ", output)
 
 
+@pytest.mark.slow
 def test_an_overlay_and_an_mcap_file_need_no_radius(recording, tmp_path):
     words = ("--source", f"dataset:{recording}", "--output", "null", "--overlay", tmp_path / "last.png")
     assert invoke(app, "run", *words)[0] == 0
