@@ -23,6 +23,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
 Floats = NDArray[np.float32]
+Samples = tuple[Floats, Floats, Floats, Floats, int]  # contrast, direction, log odds, offset and step, for `kernels`
 
 STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
 _NOISE = 0.01  # of a contrast, without image noise: shading
@@ -97,6 +98,15 @@ class Alignment(NamedTuple):
     information: Array  # (k, 3, 3) of a rotation, rad^-2
     gradient: Array  # (k, 3)
     pixels: Array  # (k,) number of them, each by its weight
+
+
+class AlignmentScale(NamedTuple):
+    """Scale of the samples that are aligned, and the anchors to which their information belongs."""
+
+    contour: float  # rad, standard deviation of a contour of the picture
+    pixel: float  # rad, between two samples
+    anchor_of: NDArray[np.int64]  # (6, t, t) the anchor of each tile
+    anchors: int
 
 
 def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) -> TextureView:
@@ -198,18 +208,16 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
-    return Alignment(
-        *kernels.align_texture(
-            _samples(view, seen, seen.turning),
-            (picture.value, picture.weight),
-            attitude,
-            noise,
-            _CONTOUR_PX * view.pixel,
-            view.pixel,
-            view.anchor_of,
-            len(view.anchors),
-        )
-    )
+    scale = AlignmentScale(_CONTOUR_PX * view.pixel, view.pixel, view.anchor_of, len(view.anchors))
+    return align_samples(_samples(view, seen, seen.turning), picture, attitude, noise, scale)
+
+
+def align_samples(
+    samples: Samples, picture: Picture, attitude: Array, noise: float, scale: AlignmentScale
+) -> Alignment:
+    """Return the attitude near `attitude`, (3, 3), that explains samples. `noise` is that of a contrast."""
+    attitude = np.ascontiguousarray(attitude)
+    return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
 
 
 def learn(
@@ -277,7 +285,7 @@ def weigh(
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
 
 
-def _samples(view: TextureView, seen: Seen, odds: Floats) -> tuple[Floats, Floats, Floats, Floats, int]:
+def _samples(view: TextureView, seen: Seen, odds: Floats) -> Samples:
     """Return the samples as the native functions have them, with their log odds."""
     return seen.contrast, view.direction, odds, seen.offset, view.step
 

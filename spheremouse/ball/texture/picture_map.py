@@ -22,8 +22,11 @@ from spheremouse.ball.texture.picture import (
     LEAST_WEIGHT,
     TILE,
     Alignment,
+    AlignmentScale,
     Floats,
     Picture,
+    Samples,
+    align_samples,
     anchor_directions,
     cell_directions,
     contrast_noise,
@@ -242,7 +245,7 @@ def _own_cells(picture: Picture) -> NDArray[np.bool_]:
     return np.broadcast_to(at[:, None] & at, picture.value.shape)
 
 
-def _samples(picture: Picture, most: int) -> tuple[Floats, Floats, Floats, Floats, int]:
+def _samples(picture: Picture, most: int) -> Samples:
     """Return up to `most` known cells of a picture as samples of a frame in which the ball is seen from all sides."""
     index = np.flatnonzero(_own_cells(picture) & (picture.weight >= LEAST_WEIGHT))
     index = index[:: max(len(index) // most, 1)]
@@ -251,9 +254,6 @@ def _samples(picture: Picture, most: int) -> tuple[Floats, Floats, Floats, Float
     return np.ascontiguousarray(picture.value.reshape(1, -1)[:, index]), direction, zero, zero, 1
 
 
-def _aligned(
-    samples: tuple[Floats, Floats, Floats, Floats, int], picture: Picture, attitude: Array, noise: float
-) -> Alignment:
+def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
     pixel, one_anchor = 2.0 * HALF / picture.value.shape[1], np.zeros(picture.known.shape, np.int64)
-    attitude = np.ascontiguousarray(attitude)
-    return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, _CONTOUR, pixel, one_anchor, 1))
+    return align_samples(samples, picture, attitude, noise, AlignmentScale(_CONTOUR, pixel, one_anchor, 1))
