@@ -5,7 +5,7 @@ adjustment per disc; both give the same covariance (tests/ball/test_points.py).
 """
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,18 @@ class Centres(Protocol):
     def centre(self) -> Array: ...  # (n, 2) px
     @property
     def covariance(self) -> Array: ...  # (n, 2, 2) px²
+
+
+class Measurement(NamedTuple):
+    """Points of a frame as the filter and `kernels` take them. Their places on its map give residual and Jacobian."""
+
+    direction: Array  # (n, 3) unit vectors from the ball's centre, obj
+    noise: Array  # (n, 3, 3) m², obj: covariance that is new in every frame
+    delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row
+    row: Array  # (n,) that row, from -1/2 to 1/2
+    dposition_dball: Array  # (n, 3, 4) of centre and radius
+    radius: float  # m
+    centre: Array  # (3,) m, of the ball from its calibrated place, for which the directions hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +67,10 @@ class SpherePoints:
         moved = self.direction + (self.dposition_dball[:, :, :3] - np.eye(3)) @ (shift / radius)
         return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
-    def measurement(self, radius: float) -> tuple[Array, Array, Array, Array, Array, float, Array]:
-        """Return the points on a ball of `radius` m as `kernels` takes them."""
+    def measurement(self, radius: float) -> Measurement:
+        """Return the points on a ball of `radius` m as the filter takes them."""
         noise, J = self.image_covariance, self.dposition_dball
-        return self.direction, noise, self.delay, self.row, J, radius, self.centre
+        return Measurement(self.direction, noise, self.delay, self.row, J, radius, self.centre)
 
 
 def intersect(detections: Centres, rig: Rig, pose: Pose, shift: Array | None = None) -> SpherePoints:
