@@ -91,7 +91,7 @@ def test_photos_from_the_missing_sides_make_the_ball_more_certain():
     """Without metres, so that only photos count."""
     front = calibrated(FRONT, ())
     (advice,) = [t for t in said(front) if t.startswith("No photo is")]
-    assert advice.startswith("No photo is from the left or from the right or from above: take two there")
+    assert advice.startswith("No photo is from the left or from the right or from above: take two from each such side")
     sides = ((-60.0, 5.0), (-42.0, 5.0), (60.0, 5.0), (42.0, 5.0), (0.0, 45.0), (10.0, 30.0))
     after = calibrated((*FRONT, *sides), (), seed=1)
     assert not any("No photo is" in t for t in said(after))
