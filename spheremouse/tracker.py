@@ -26,6 +26,7 @@ class Frame:
     image: NDArray[np.uint8]  # (h, w, 3) BGR or (h, w) grey
     stamp: float  # s, mid-exposure of the middle row, on the source's own clock
     sequence: int  # counts every frame the source produced, so that a gap shows
+    camera: int = 0  # number of the camera, of several that see the body
 
 
 def check_size(frame: Frame, camera: "InteriorOrientation") -> None:

@@ -152,5 +152,6 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         colours=colours_of(tracker.rig, tracker.settings, Colours()),
         watch=watching.begin(tracker.rig, tracker.pose) if tracker.method.keeps_map else None,
         readout_known=not tracker.method.keeps_map,
+        shown_at=stamp,
     )
     return state if known is None else tracker.method.recall(state, known)

@@ -26,6 +26,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Estimate, Event, Frame, Status
 
 _NO_TRACK = np.zeros(0, dtype=np.intp)
+RECENT_S = 0.15  # s, for which a camera's last frame counts beside those of another: five frames at 30 Hz
 SURE = 10  # sightings from which a disc is worth keeping
 
 Events = tuple[Event, ...]
@@ -66,6 +67,7 @@ class BufferedFrame(NamedTuple):
     points: SpherePoints
     filter: Any  # the filter's state as predicted for it
     track: NDArray[np.intp] = _NO_TRACK  # (n,) number of each point: equal for the same point in another view
+    camera: int = 0
 
     @property
     def attitude(self) -> Array:
@@ -136,6 +138,23 @@ class Lost(NamedTuple):
 Phase = Recognising | Learning | Tracking | Lost
 
 
+class CameraState(NamedTuple):
+    """Parts of the state of a camera that does not show this frame. `TrackState` has the same fields."""
+
+    camera: int
+    shown_at: float
+    confirmed: bool
+    detections: Detections
+    points: SpherePoints
+    lookalikes: StaticDistractors
+    search: Any
+    colours: Colours
+    centre: CentreCheck
+    watch: CameraMonitor | None
+    rebuilt: Tracker[Any] | None
+    readout_known: bool
+
+
 class Withheld(NamedTuple):
     """Motion of a tracked ball that is not reported, since no frame confirms the attitude."""
 
@@ -145,7 +164,7 @@ class Withheld(NamedTuple):
 
 
 class TrackState(NamedTuple, Generic[F]):
-    """State of the tracker after a frame."""
+    """State of the tracker after a frame. The fields that `CameraState` has too are of the camera of that frame."""
 
     phase: Phase
     filter: F
@@ -167,6 +186,9 @@ class TrackState(NamedTuple, Generic[F]):
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
     readout_known: bool = False  # play has shown what the rolling shutter takes
     frames: int = 0  # since the tracker began
+    camera: int = 0  # number of the camera that showed the last frame
+    shown_at: float = -np.inf  # s, stamp of the last frame of that camera
+    others: tuple[CameraState, ...] = ()  # in the order of `filter.others`
 
     @property
     def status(self) -> Status:
@@ -184,6 +206,20 @@ class TrackState(NamedTuple, Generic[F]):
         """Return True if the ball has turned, so that look-alikes differ from discs."""
         phase = self.phase.last if isinstance(self.phase, Lost) else self.phase
         return isinstance(phase, Tracking)
+
+    @property
+    def follows(self) -> bool:
+        """Return True if the last frame of this camera, or a later one of another, confirmed the attitude."""
+        return self.shown_at <= self.confirmed_at <= self.filter.stamp
+
+    def most_in_view(self, stamp: float) -> int:
+        """Return the number of points in this frame, or in the last one of another camera if that has more."""
+        others = (len(other.points) for other in self.others if abs(stamp - other.shown_at) < RECENT_S)
+        return max((len(self.points), *others))
+
+    def is_confirmed_by_another(self, stamp: float) -> bool:
+        """Return whether the last frame of another camera confirmed the attitude."""
+        return any(other.confirmed and abs(stamp - other.shown_at) < RECENT_S for other in self.others)
 
 
 def statistics(state: TrackState) -> dict[str, float]:
@@ -231,7 +267,7 @@ def start_tracking(
 
 def forget(lookalikes: StaticDistractors) -> StaticDistractors:
     """Keep the masks; remove the candidates, since they belong to another attitude."""
-    return StaticDistractors(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
+    return StaticDistractors(lookalikes.masks, lookalikes.mask_seen, next_number=lookalikes.next_number)
 
 
 def no_points(tracker: Tracker) -> SpherePoints:

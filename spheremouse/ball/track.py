@@ -14,6 +14,7 @@ from spheremouse.ball import camera_moved
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.camera_moved import Seek, seek_by_colour
+from spheremouse.ball.cameras import facing
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors
@@ -70,9 +71,10 @@ def step(
 
     If the targets show that the camera was moved, the frame is processed with a new pose. The function calls `detected`
     after detection, to measure times. `seek` searches for the targets by colour, which takes long. In real time, search
-    in another thread, and use `with_pose`.
+    in another thread, and use `with_pose`. `tracker` is that of the frame's camera (`cameras.with_camera`).
     """
     check_size(frame, tracker.rig.camera)
+    state = facing(state, frame.camera)
     tracker = current(state, tracker)
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
@@ -178,7 +180,7 @@ def _with_new_pose(
     state = state._replace(
         phase=phase,
         filter=filtered,
-        lookalikes=StaticDistractors(),
+        lookalikes=StaticDistractors(next_number=state.lookalikes.next_number),
         search=_kept_search(state, anew),
         watch=watch,
         centre=CentreCheck(),
@@ -222,7 +224,8 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
         confirmed=False,
         watch=replace(state.watch, away=away, shaken=stamp),
     )
-    if state.status is Status.TRACKING and stamp - away > tracker.settings.loss.lost_after:
+    known_at = max(away, min(state.confirmed_at, stamp))  # another camera may show the ball
+    if state.status is Status.TRACKING and stamp - known_at > tracker.settings.loss.lost_after:
         return _reported(lost(state), stamp, (BallLost(Why.CAMERA),))
     return _reported(state, stamp, ())
 
@@ -259,6 +262,9 @@ def advance(
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
         state, more = _learn_readout(state, tracker)
         events = (*events, *more)
+    if state.filter.stamp != stamp:  # a frame that the filter does not use
+        done = _reported(state._replace(filter=carried), stamp, events)
+        return done._replace(state=done.state._replace(filter=state.filter))
     return _reported(state, stamp, events)
 
 
@@ -273,7 +279,7 @@ def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Eve
 
 def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
     """Return the estimate of a frame, with the increment since the last confirmed one if discs confirm the attitude."""
-    frames, f = state.frames + 1, state.filter
+    state, frames, f = state._replace(shown_at=stamp), state.frames + 1, state.filter
     increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
     if state.status is not Status.TRACKING:
         estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)

@@ -220,7 +220,7 @@ def follow_discs(
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
 
-_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Float, int, bool]
+_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Float, int, bool, int]
 _Points = tuple[_Float, _Float, _Float, _Float, _Float, float, _Float]
 _Innovation = tuple[_Float, _Float, _Float, _Float]
 _Modes = tuple[_Float, _Float, _Float]

@@ -66,7 +66,7 @@ class StaticDistractors:
     masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
     mask_seen: Array = field(default_factory=lambda: np.zeros(0))  # (k,) s
     candidates: Candidates = _NO_CANDIDATES
-    next_number: int = 0  # of the next candidate
+    next_number: int = 0  # of the next candidate; each camera counts from a number of its own
 
 
 def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDArray[np.bool_], StaticDistractors]:
@@ -100,6 +100,11 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
 def without_candidates(state: StaticDistractors, numbers: NDArray[np.intp]) -> StaticDistractors:
     """Forget the candidates with these `numbers`, (k,)."""
     return replace(state, candidates=state.candidates.take(~np.isin(state.candidates.number, numbers)))
+
+
+def recent(state: StaticDistractors, stamp: float) -> NDArray[np.intp]:
+    """Return the numbers, (k,), of the candidates that would not be forgotten at `stamp`, s."""
+    return state.candidates.number[stamp - state.candidates.seen < _FORGET_AFTER_S]
 
 
 def with_places(state: StaticDistractors, numbers: NDArray[np.intp], places: Array) -> StaticDistractors:

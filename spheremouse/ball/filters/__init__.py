@@ -55,6 +55,10 @@ class FilterState(Protocol):
         """Return the state with the reference of `other`, whose error is independent of this state's errors."""
         ...
 
+    def with_cameras_of(self, other: Self) -> Self:
+        """Return the state, of one camera, with the other cameras of `other`."""
+        ...
+
     @property
     def centre(self) -> Array:
         """(3,) m, obj, of the ball from its calibrated place."""

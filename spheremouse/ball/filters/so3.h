@@ -23,8 +23,13 @@ struct Body {
     Vector<3> centre;  // m, of the ball from its calibrated place
     int known;         // discs; the others are candidates, which no point corrects
     bool holds;        // the centre in its place
+    int others;        // cameras that do not show this frame
 
     int size() const { return int(discs.rows()); }
+
+    /// The rows of P with the errors of the readout and of the first disc.
+    int readout_row() const { return READOUT + VIEW * others; }
+    int map_row() const { return readout_row() + 1; }
 
     /// The turn from the stamp to `delay`, s, after it.
     Vector<3> turn(double delay) const { return rate * delay + 0.5 * acceleration * delay * delay; }
@@ -91,6 +96,7 @@ struct Moved {
     Vector<3> centre;
     int known;
     bool holds;
+    int others;
 
     Body body() const;
 };

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.filters.so3_motion import (
+    CAMERA_DIM,
     CLONE_DIM,
     KINEMATIC_DIM,
     MAP_OFFSET,
-    READOUT,
 )
 from spheremouse.ball.filters.so3_settings import (
     So3Settings,
@@ -31,10 +31,10 @@ from spheremouse.ball.filters.so3_state import (
     CENTRE,
     WANDER_S,
     So3State,
-    add_common,
     augment,
     drop,
     inject,
+    move_centres,
     promote,
     with_candidates,
     without_candidates,
@@ -91,9 +91,7 @@ class So3Filter:
         joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
-        A = self.common_by_pose_and_ball()
-        add_common(joint, A @ self.considered @ A.T)
-        joint[READOUT, READOUT] = self.readout_sigma**2
+        joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = self.camera_covariance()
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def common_by_pose_and_ball(self) -> Array:
@@ -108,6 +106,23 @@ class So3Filter:
         A[:3, :3], A[:3, 3:6], A[:3, 9] = -np.eye(3), -self.radius * hat(towards), towards
         return A
 
+    def camera_covariance(self) -> Array:
+        """Return the covariance, (7, 7), of centre (m), axes (rad) and readout (s), before a frame shows anything."""
+        A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
+        covariance[:6, :6], covariance[6, 6] = A @ self.considered @ A.T, self.readout_sigma**2
+        return covariance
+
+    def shared_covariance(self, other: "So3Filter") -> Array:
+        """Return the covariance, (7, 7), of those errors with those of another camera, whose rig has the same ball."""
+        covariance, ball = np.zeros((CAMERA_DIM, CAMERA_DIM)), self.considered[6:, 6:]
+        covariance[:6, :6] = self._common_by_ball() @ ball @ other._common_by_ball().T
+        return covariance
+
+    def _common_by_ball(self) -> Array:
+        """Return the matrix, (6, 4), from errors of centre and radius to the expected ones of the centre and axes."""
+        A, C = self.common_by_pose_and_ball(), self.considered
+        return A[:, :6] @ C[:6, 6:] @ np.linalg.pinv(C[6:, 6:], hermitian=True) + A[:, 6:]
+
     def predict(self, state: So3State, stamp: float) -> So3State:
         """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
 
@@ -118,8 +133,12 @@ class So3Filter:
             state.body, state.pending, dt, activity_of(self.settings)
         )
         if state.centre_noise > 0.0:
-            joint[CENTRE, CENTRE] += min(dt, WANDER_S) * state.centre_noise * np.eye(3)
+            move_centres(joint, min(dt, WANDER_S) * state.centre_noise * np.eye(3), len(state.others))
         known = float(np.trace(joint[CENTRE, CENTRE])) < (_KNOWN_CENTRE * self.radius) ** 2
+
+        def carried(hidden: Array) -> Array:
+            return kernels.carry_hidden(attitude, rate, state.discs, hidden, dt, self.disc_angle)
+
         return So3State(
             stamp,
             attitude,
@@ -130,7 +149,7 @@ class So3Filter:
             joint,
             state.hits,
             state.missed,
-            kernels.carry_hidden(attitude, rate, state.discs, state.hidden, dt, self.disc_angle),
+            carried(state.hidden),
             _NONE,
             weights,
             process,
@@ -141,6 +160,7 @@ class So3Filter:
             interval=interval,
             modes=modes,
             candidates=state.candidates,
+            others=tuple(other._replace(hidden=carried(other.hidden)) for other in state.others),
         )
 
     def let_centre_move(self, state: So3State, proven: bool) -> So3State:
@@ -150,7 +170,7 @@ class So3Filter:
         the centre along the line of sight.
         """
         noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
-        joint[CENTRE, CENTRE] += noise * WANDER_S * np.eye(3)
+        move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
         if not proven:
             along = _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
             joint[CENTRE, CENTRE] += np.outer(along, along)
@@ -273,7 +293,7 @@ class So3Filter:
             seen,
             missed,
         )
-        state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates)
+        state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates, others=state.others)
         return self._with_new_discs(state, keep, points, rows, may_start_landmark)
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
@@ -346,7 +366,8 @@ class So3Filter:
         )
         Q, sightings = _NO_NOISE, state.sightings
         at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_centre
-        return So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates), log_likelihood
+        others, candidates = state.others, state.candidates
+        return So3State(state.stamp, *at_frame, modes=modes, candidates=candidates, others=others), log_likelihood
 
     def keep_map(
         self,
@@ -474,10 +495,11 @@ def relocate(
     """
     state = without_candidates(state)  # their places depend on the attitude before
     joint = state.joint.copy()
-    considered = joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET].copy()
-    joint[:MAP_OFFSET] = 0.0
-    joint[:, :MAP_OFFSET] = 0.0
-    joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = considered
+    first = state.map_row
+    considered = joint[KINEMATIC_DIM:first, KINEMATIC_DIM:first].copy()
+    joint[:first] = 0.0
+    joint[:, :first] = 0.0
+    joint[KINEMATIC_DIM:first, KINEMATIC_DIM:first] = considered
     joint[:3, :3] = sigma**2 * np.eye(3)
     spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
     joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
@@ -520,6 +542,7 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
         return state
     gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance
     joint = state.joint - np.outer(gain, along)
-    joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT] = state.joint[KINEMATIC_DIM:READOUT, KINEMATIC_DIM:READOUT]
-    gain[KINEMATIC_DIM:READOUT] = 0.0  # considered parameters stay (Schmidt 1966)
+    considered = slice(KINEMATIC_DIM, state.map_row - 1)
+    joint[considered, considered] = state.joint[considered, considered]
+    gain[considered] = 0.0  # considered parameters stay (Schmidt 1966)
     return inject(state, -gain * twist, joint, state.weights, state.manoeuvre_level, state.used, state.nis)

@@ -8,11 +8,12 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int FIXED = MAP_OFFSET;    // errors before those of the discs
+constexpr int FIXED = MAP_OFFSET;    // errors on which the place of a disc depends, besides its own
 constexpr double NEAR = 0.99;        // cosine of 8 degrees, the largest distance of a pair with all considered errors
 constexpr double NEARBY = 0.9;       // cosine of 26 degrees, the largest distance of a pair with any readout delay
 constexpr double WIDE_SPREAD = 0.1;  // rad: an attitude known worse than that is not linear in any sense
 constexpr double DETECTED = 0.8;     // probability that a disc in view is seen: hands and struts hide some
+constexpr int MOST_OTHERS = 100;     // cameras
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 /// A disc as the camera sees it some time after the stamp.
 struct Place {
@@ -29,8 +30,9 @@ struct Place {
 };
 
 /// Return the covariance of a disc's predicted place by the errors of rotation and disc.
-Matrix<2> place_covariance(const View<>& P, const Matrix<2, 3>& H, int k, const Noise& added) {
-    const int at = MAP_OFFSET + 2 * k;
+Matrix<2> place_covariance(const Body& body, const Matrix<2, 3>& H, int k, const Noise& added) {
+    const View<>& P = body.P;
+    const int at = body.map_row() + 2 * k;
     const Matrix<2> cross = H * P.block<3, 2>(0, at);
     return P.block<2, 2>(at, at) + cross + cross.transpose() +
            H * (P.topLeftCorner<3, 3>() + added.topLeftCorner<3, 3>()) * H.transpose();
@@ -53,12 +55,28 @@ Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const P
     return J;
 }
 
-/// Return the covariance of a disc's predicted place by all that J depends on.
-Matrix<2> full_covariance(const View<>& P, const Matrix<2, FIXED>& J, const Matrix<2, 3>& H, int k,
-                          const Noise& added) {
-    const int at = MAP_OFFSET + 2 * k;
-    const Matrix<2, FIXED> HP = P.block<2, FIXED>(at, 0) + J * P.topLeftCorner<FIXED, FIXED>();
-    return P.block<2, 2>(at, at) + J * P.block<FIXED, 2>(0, at) + HP * J.transpose() +
+/// Return the rows of P, from the column `at` on, of the errors in the order of the Jacobian.
+template <int width>
+Matrix<FIXED, width> fixed_rows(const Body& body, int at) {
+    Matrix<FIXED, width> rows;
+    rows << body.P.block<READOUT, width>(0, at), body.P.block<1, width>(body.readout_row(), at);
+    return rows;
+}
+
+/// Return the covariance of the errors in the order of the Jacobian.
+Matrix<FIXED> fixed_covariance(const Body& body) {
+    Matrix<FIXED> C;
+    C << fixed_rows<READOUT>(body, 0), fixed_rows<1>(body, body.readout_row());
+    return C;
+}
+
+/// Return the covariance of a disc's predicted place by all that J depends on; `fixed` is `fixed_covariance`.
+Matrix<2> full_covariance(const Body& body, const Matrix<FIXED>& fixed, const Matrix<2, FIXED>& J,
+                          const Matrix<2, 3>& H, int k, const Noise& added) {
+    const int at = body.map_row() + 2 * k;
+    const Matrix<FIXED, 2> with_disc = fixed_rows<2>(body, at);
+    const Matrix<2, FIXED> HP = with_disc.transpose() + J * fixed;
+    return body.P.block<2, 2>(at, at) + J * with_disc + HP * J.transpose() +
            H * added.topLeftCorner<3, 3>() * H.transpose();
 }
 
@@ -78,11 +96,14 @@ double curvature(const View<>& P, const Noise& added) {
 }
 
 /// Add J P to C row by row, without the terms in which J or the variance of the error is zero: most are.
-WIDE void add_product(const double* J, const double* P, int rows, int n, double* C) {
+///
+/// The row `readout` of P is that of the last column of J.
+WIDE void add_product(const double* J, const double* P, int readout, int rows, int n, double* C) {
     for (int i = 0; i < rows; i++)
         for (int c = 0; c < FIXED; c++) {
-            const double f = J[i * FIXED + c], *from = P + size_t(c) * n;
-            if (f == 0.0 || !(from[c] > 0.0)) continue;
+            const int at = c == READOUT ? readout : c;
+            const double f = J[i * FIXED + c], *from = P + size_t(at) * n;
+            if (f == 0.0 || !(from[at] > 0.0)) continue;
             double* to = C + size_t(i) * n;
             for (int j = 0; j < n; j++) to[j] += f * from[j];
         }
@@ -137,16 +158,17 @@ bool unambiguous(const Dense& distance, double gate) {
 }  // namespace
 
 Body read_body(nb::tuple body) {
-    members(body, 10, "body");
+    members(body, 11, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
            number<double>(body[6], "body"),      vector<3>(body[7], "centre"),     number<int>(body[8], "body"),
-           number<int>(body[9], "body") != 0};
-    const nb::ssize_t m = r.discs.rows(), n = MAP_OFFSET + 2 * m + CLONE;
+           number<int>(body[9], "body") != 0,    number<int>(body[10], "body")};
+    if (r.others < 0 || r.others > MOST_OTHERS) throw nb::type_error("others: must be at least 0, and few");
+    const nb::ssize_t m = r.discs.rows(), n = r.map_row() + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
-        throw nb::type_error("joint: must be square, with 19 rows and two for each disc");
+        throw nb::type_error("joint: must be square, with 19 rows, 7 for each other camera and two for each disc");
     return r;
 }
 
@@ -199,12 +221,13 @@ Indices visible(const Body& body, const Viewer& viewer) {
 
 Dense distances(const Body& body, const Points& points, const Indices& which, const Noise& added, double allowance,
                 double gate) {
-    const bool any_considered = (body.P.diagonal().segment(CORE, MAP_OFFSET - CORE).array() > 0.0).any();
+    const Matrix<FIXED> fixed = fixed_covariance(body);
+    const bool any_considered = (fixed.diagonal().tail<FIXED - CORE>().array() > 0.0).any();
     Dense result = Dense::Constant(points.size(), nb::ssize_t(which.size()), INFINITE);
     for (size_t m = 0; m < which.size(); m++) {
         double delay = 0.0;
         Place place(body, which[m], delay);
-        Matrix<2> S = place_covariance(body.P, place.H, which[m], added);
+        Matrix<2> S = place_covariance(body, place.H, which[m], added);
         S.diagonal().array() += allowance;
         for (int i = 0; i < points.size(); i++) {
             const Vector<3> b = points.direction.row(i);
@@ -220,7 +243,7 @@ Dense distances(const Body& body, const Points& points, const Indices& which, co
             if (z.squaredNorm() <= 4.0 * gate * (S.trace() + noise.trace()))  // most pairs are far apart
                 value = squared(z, S + place.E.transpose() * noise * place.E);
             if (!(value >= gate && cosine > NEAR && (any_considered || delay != 0.0))) continue;
-            Matrix<2> C = full_covariance(body.P, jacobian(body, points, i, place), place.H, which[m], added);
+            Matrix<2> C = full_covariance(body, fixed, jacobian(body, points, i, place), place.H, which[m], added);
             C.diagonal().array() += allowance;
             value = squared(z, C + place.E.transpose() * noise * place.E);
         }
@@ -238,16 +261,18 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
         const Place place(body, columns[i], points.delay(rows[i]));
         J.middleRows<2>(2 * i) = jacobian(body, points, rows[i], place);
         r.z.segment<2>(2 * i) = place.E.transpose() * points.direction.row(rows[i]).transpose();
-        r.HP.middleRows<2>(2 * i) = body.P.middleRows<2>(MAP_OFFSET + 2 * columns[i]);
+        r.HP.middleRows<2>(2 * i) = body.P.middleRows<2>(body.map_row() + 2 * columns[i]);
         r.S.block<2, 2>(2 * i, 2 * i) = place.E.transpose() * points.noise(rows[i]) * place.E;
     }
     r.H = J.leftCols<CORE>();
-    add_product(J.data(), body.P.data(), 2 * k, n, r.HP.data());
+    add_product(J.data(), body.P.data(), body.readout_row(), 2 * k, n, r.HP.data());
+    Matrix<Dynamic, FIXED> fixed(2 * k, FIXED);
+    fixed << r.HP.leftCols<READOUT>(), r.HP.col(body.readout_row());
     for (int i = 0; i < 2 * k; i++)
         for (int j = 0; j <= i; j++) {
             const double noise = i / 2 == j / 2 ? r.S(i, j) + (i == j ? allowance : 0.0) : 0.0;
             r.S(i, j) = r.S(j, i) =
-                noise + r.HP(i, MAP_OFFSET + 2 * columns[j / 2] + j % 2) + r.HP.row(i).head<FIXED>().dot(J.row(j));
+                noise + r.HP(i, body.map_row() + 2 * columns[j / 2] + j % 2) + fixed.row(i).dot(J.row(j));
         }
     return r;
 }
@@ -310,7 +335,7 @@ NewArray<double> place_sigma(nb::tuple body_, nb::handle which_, nb::handle adde
     const Indices which = read_indices(which_, "which", body.size());
     auto sigma = zeros<double>({which.size()});
     for (size_t i = 0; i < which.size(); i++) {
-        const Matrix<2> S = place_covariance(body.P, Place(body, which[i], 0.0).H, which[i], added);
+        const Matrix<2> S = place_covariance(body, Place(body, which[i], 0.0).H, which[i], added);
         const double half = std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1));
         sigma.data()[i] = std::sqrt(std::max(0.5 * S.trace() + half, 0.0));
     }

@@ -32,9 +32,9 @@ struct Disc {
 
 Disc disc(const Body& body, int k) { return {body.discs.row(k), View<3, 2>(body.basis.row(k).data())}; }
 
-bool is_negligible(const Dense& P, const Each& dx) {
+bool is_negligible(const Body& body, const Dense& P, const Each& dx) {
     const double turn = dx.head<3>().cwiseAbs().maxCoeff(),
-                 most = std::max(turn, dx.tail(dx.size() - MAP_OFFSET).cwiseAbs().maxCoeff());
+                 most = std::max(turn, dx.tail(dx.size() - body.map_row()).cwiseAbs().maxCoeff());
     return most * most * P.diagonal().head<3>().maxCoeff() < NEGLIGIBLE * NEGLIGIBLE;
 }
 
@@ -43,24 +43,23 @@ bool is_negligible(const Dense& P, const Each& dx) {
 /// A regression on the errors of the discs determines the shared error. The move consists of such a turn, after which
 /// each of these discs has the same place in obj, and of a turn of the whole ball, with which the shared error turns.
 Dense transfer(const Body& body, const Dense& P, const Each& dx) {
-    const int m = body.size();
-    const Dense with = P.block(0, MAP_OFFSET, 3, 2 * m);
+    const int m = body.size(), map = body.map_row();
+    const Dense with = P.block(0, map, 3, 2 * m);
     Dense G(3, 2 * m);  // the shared error by those of the discs
-    if (m > 0) G = Dense(P.block(MAP_OFFSET, MAP_OFFSET, 2 * m, 2 * m)).ldlt().solve(with.transpose()).transpose();
-    const Vector<3> shared = G * dx.segment(MAP_OFFSET, 2 * m);
+    if (m > 0) G = Dense(P.block(map, map, 2 * m, 2 * m)).ldlt().solve(with.transpose()).transpose();
+    const Vector<3> shared = G * dx.segment(map, 2 * m);
     const Vector<3> of_ball = log(exp(dx.head<3>()) * exp(-shared));
     const Matrix<3> J = left_jacobian(shared), K = left_jacobian(of_ball), turned = exp(shared) * body.attitude,
                     variance = with * G.transpose();
     Dense T = Dense::Identity(dx.size(), dx.size());
     T.topLeftCorner<3, 3>() = K * J;
-    T.block(0, MAP_OFFSET, 3, 2 * m) = (exp(of_ball) - K) * J * G;
+    T.block(0, map, 3, 2 * m) = (exp(of_ball) - K) * J * G;
     for (int k = 0; k < m; k++) {
-        const Disc before = disc(body, k), after = before.moved(dx.segment<2>(MAP_OFFSET + 2 * k));
+        const Disc before = disc(body, k), after = before.moved(dx.segment<2>(map + 2 * k));
         const Matrix<2, 3> A = before.by_turn(body.attitude);
         const double own = -(A * with.middleCols<2>(2 * k)).trace(), whole = (A * variance * A.transpose()).trace();
         if (!(own > 0.0 && whole > 0.0)) continue;
-        T.block(MAP_OFFSET + 2 * k, MAP_OFFSET, 2, 2 * m) +=
-            std::min(own / whole, 1.0) * (A - after.by_turn(turned) * J) * G;
+        T.block(map + 2 * k, map, 2, 2 * m) += std::min(own / whole, 1.0) * (A - after.by_turn(turned) * J) * G;
     }
     return T;
 }
@@ -74,16 +73,17 @@ Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
             Matrix<Dynamic, 3>(body.size(), 3),
             Matrix<Dynamic, 6>(body.size(), 6),
             std::move(P),
-            body.readout + dx(READOUT),
+            body.readout + dx(body.readout_row()),
             body.centre + dx.segment<3>(SHIFT),
             body.known,
-            body.holds};
+            body.holds,
+            body.others};
     for (int k = 0; k < body.size(); k++) {
-        const Disc moved = disc(body, k).moved(dx.segment<2>(MAP_OFFSET + 2 * k));
+        const Disc moved = disc(body, k).moved(dx.segment<2>(body.map_row() + 2 * k));
         r.discs.row(k) = moved.at;
         Eigen::Map<Matrix<3, 2>>(r.basis.row(k).data()) = moved.axes;
     }
-    if (!is_negligible(r.P, dx)) {
+    if (!is_negligible(body, r.P, dx)) {
         const Dense T = transfer(body, r.P, dx), moved = T * r.P * T.transpose();
         r.P = 0.5 * (moved + moved.transpose());
         if (error) *error = T * *error;
@@ -101,7 +101,8 @@ Body Moved::body() const {
             readout,
             centre,
             known,
-            holds};
+            holds,
+            others};
 }
 
 nb::tuple moved_to_numpy(const Moved& r) {

@@ -4,12 +4,13 @@ How errors move it, and how discs enter and leave it. The filter itself is in `s
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import AXES, CAMERA_DIM, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
@@ -30,6 +31,14 @@ _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 Modes = tuple[Array, Array, Array]
 
 
+class OtherCamera(NamedTuple):
+    """Means of a camera that does not show this frame. Their errors are in `joint`."""
+
+    centre: Array  # (3,) m, obj, of the ball from the place that this camera's rig gives
+    readout: float  # s, by which its rolling shutter takes longer than its rig says
+    hidden: Array  # (m,) probability that a disc is not to be seen from there
+
+
 @dataclass(frozen=True, slots=True)
 class So3State:
     """Attitude, rate and map with their joint covariance."""
@@ -40,7 +49,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
     basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
-    joint: Array  # (19 + 2l, 19 + 2l): rotation (rad, obj), rate, acceleration, centre, axes, readout, landmarks, clone
+    joint: Array  # (19 + 7p + 2l, 19 + 7p + 2l) of the errors in the order of `so3_motion`, with p other cameras
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
@@ -58,6 +67,12 @@ class So3State:
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
     modes: Modes | None = None  # of which attitude, rate, acceleration and joint are the moments; None: one
     candidates: NDArray[np.intp] = field(default_factory=lambda: _NONE)  # (c,) their numbers as look-alikes
+    others: tuple[OtherCamera, ...] = ()  # (p,); fields without a camera are of the one that shows this frame
+
+    @property
+    def map_row(self) -> int:
+        """Row of `joint` with the first error of the first disc; the errors before it are those of all cameras."""
+        return MAP_OFFSET + CAMERA_DIM * len(self.others)
 
     @property
     def discs(self) -> Array:
@@ -83,7 +98,7 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int, bool]:
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int, bool, int]:
         """The fields that predict where the camera sees each landmark, as `kernels` takes them."""
         motion = self.attitude, self.rate, self.acceleration
         known = len(self.landmarks) - len(self.candidates)
@@ -96,6 +111,7 @@ class So3State:
             self.centre,
             known,
             self.holds_centre,
+            len(self.others),
         )
 
     @property
@@ -116,7 +132,7 @@ class So3State:
     @property
     def readout_sigma(self) -> float:
         """s, standard deviation of `readout`; 0 if the rig gives the readout."""
-        return float(self.joint[READOUT, READOUT]) ** 0.5
+        return float(self.joint[self.map_row - 1, self.map_row - 1]) ** 0.5
 
     def map_sigma(self) -> Array:
         """Standard deviation, (m,) rad, along the worse axis, of each disc's place relative to the other discs.
@@ -127,7 +143,8 @@ class So3State:
         discs, m = self.discs, len(self.discs)
         if m < 2:
             return np.zeros(m)
-        P = self.joint[MAP_OFFSET : MAP_OFFSET + 2 * m, MAP_OFFSET : MAP_OFFSET + 2 * m]
+        of_discs = slice(self.map_row, self.map_row + 2 * m)
+        P = self.joint[of_discs, of_discs]
         A = -(self.basis[:m].transpose(0, 2, 1) @ hat(discs)).reshape(2 * m, 3)  # by a common rotation, ball
         weighted = A / np.maximum(np.diag(P), 1e-12)[:, None]
         B = np.linalg.solve(weighted.T @ A, weighted.T)  # (3, 2m), common rotation from the discs' errors
@@ -166,20 +183,57 @@ class So3State:
             self.known_missed,
             modes=self.modes,
             candidates=self.candidates,
+            others=self.others,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
         """Return the state with the reference of `other`, whose error is independent of this state's errors.
 
-        If the ball's centre moves in the other state, it moves in this one.
+        It has the other cameras of that state. If the ball's centre moves in that state, it moves in this one.
         """
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         if other.centre_noise == 0.0:
-            return replace(self, joint=joint)
+            return replace(self, joint=joint).with_cameras_of(other)
         joint[CENTRE, CENTRE] = other.joint[CENTRE, CENTRE] + other.centre_noise * WANDER_S * np.eye(3)
-        return replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
+        moving = replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
+        return moving.with_cameras_of(other)
+
+    def with_cameras_of(self, other: "So3State") -> "So3State":
+        """Return the state, of one camera, with the other cameras of `other`. Their errors keep their covariance."""
+        added = slice(READOUT, READOUT + CAMERA_DIM * len(other.others))
+        return _with_others(self, other.joint[added, added], other.others)
+
+    def with_camera(self, covariance: Array, others: Array) -> "So3State":
+        """Return the state with one more camera, whose centre, axes and readout have a `covariance`, (7, 7).
+
+        `others` (7 + 7p, 7) is their covariance with the errors of the present cameras: of the one that shows this
+        frame, then of the others.
+        """
+        n, hidden = self.map_row - 1, np.full(len(self.discs), HIDDEN_SHARE)
+        state = _with_others(self, covariance, (*self.others, OtherCamera(np.zeros(3), 0.0, hidden)))
+        new = slice(n, n + CAMERA_DIM)
+        rows = np.r_[KINEMATIC_DIM:READOUT, n + CAMERA_DIM, READOUT:n]
+        state.joint[rows, new], state.joint[new, rows] = others, others.T
+        return state
+
+    def facing(self, which: int) -> "So3State":
+        """Return the state for a frame of the camera `which` of the others; the present one takes its place there."""
+        other = self.others[which]
+        theirs = READOUT + CAMERA_DIM * which + np.arange(CAMERA_DIM)
+        ours, order = np.r_[KINEMATIC_DIM:READOUT, self.map_row - 1], np.arange(len(self.joint))
+        order[ours], order[theirs] = theirs, ours
+        others = list(self.others)
+        others[which] = OtherCamera(self.centre, self.readout, self.hidden)
+        return replace(
+            self,
+            joint=self.joint[np.ix_(order, order)],
+            centre=other.centre,
+            readout=other.readout,
+            hidden=other.hidden,
+            others=tuple(others),
+        )
 
     def increment_covariance(self, turn: Array) -> Array:
         """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
@@ -203,7 +257,7 @@ class So3State:
         basis = tangent_basis(kept.discs)
         T = basis.transpose(0, 2, 1) @ kept.basis
         m = len(kept.discs)
-        P = kept.joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM].reshape(m, 2, m, 2)
+        P = kept.joint[kept.map_row : -CLONE_DIM, kept.map_row : -CLONE_DIM].reshape(m, 2, m, 2)
         P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
         return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
 
@@ -239,6 +293,7 @@ def inject(
         state.centre_noise,
         state.holds_centre,
         candidates=state.candidates,
+        others=state.others,
     )
 
 
@@ -247,7 +302,8 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     if keep.all():
         return state
     state = _with_landmarks(state, np.flatnonzero(np.concatenate([keep, np.ones(len(state.candidates), dtype=bool)])))
-    return replace(state, hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep])
+    others = tuple(other._replace(hidden=other.hidden[keep]) for other in state.others)
+    return replace(state, hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep], others=others)
 
 
 def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
@@ -273,8 +329,9 @@ def promote(state: So3State, which: NDArray[np.intp]) -> So3State:
 
 def _with_landmarks(state: So3State, which: NDArray[np.intp]) -> So3State:
     """Return the state with the landmarks `which`, (k,) indices, in that order."""
-    errors = MAP_OFFSET + (2 * which[:, None] + np.arange(2)).ravel()
-    rows = np.concatenate([np.arange(MAP_OFFSET), errors, len(state.joint) - CLONE_DIM + np.arange(CLONE_DIM)])
+    first = state.map_row
+    errors = first + (2 * which[:, None] + np.arange(2)).ravel()
+    rows = np.concatenate([np.arange(first), errors, len(state.joint) - CLONE_DIM + np.arange(CLONE_DIM)])
     return replace(
         state, landmarks=state.landmarks[which], basis=state.basis[which], joint=state.joint[np.ix_(rows, rows)]
     )
@@ -282,9 +339,10 @@ def _with_landmarks(state: So3State, which: NDArray[np.intp]) -> So3State:
 
 def _counted_once(state: So3State, k: int) -> So3State:
     """Return the state with k discs after the counted ones, each seen once."""
-    none = np.zeros(k, dtype=np.intp)
+    none, hidden = np.zeros(k, dtype=np.intp), np.full(k, HIDDEN_SHARE)
     return replace(
         state,
+        others=tuple(o._replace(hidden=np.concatenate([o.hidden, hidden])) for o in state.others),
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),
         hidden=np.concatenate([state.hidden, np.full(k, FALSE_SHARE)]),
@@ -307,7 +365,7 @@ def with_candidates(
     """
     if len(index) == 0:
         return state
-    points = points.take(index)
+    points, common = points.take(index), state.map_row
     b, k, n = points.seen_from(state.centre, radius), len(index), len(state.joint) - CLONE_DIM
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
@@ -319,19 +377,19 @@ def with_candidates(
     delay, along = late[:, None, None], turning @ left_jacobian(turn)
     by_centre = E.transpose(0, 2, 1) @ (points.dposition_dball[:, :, :3] - np.eye(3)) / radius
     by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
-    G = np.concatenate(
-        [turning @ exp(turn), delay * along, 0.5 * delay**2 * along, by_centre, -turning, by_readout], axis=2
-    ).reshape(-1, MAP_OFFSET)
+    by_motion = [turning @ exp(turn), delay * along, 0.5 * delay**2 * along]
+    by_others = np.zeros((k, 2, common - MAP_OFFSET))
+    G = np.concatenate([*by_motion, by_centre, -turning, by_others, by_readout], axis=2).reshape(-1, common)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
     joint = np.zeros((n + 2 * k + CLONE_DIM, n + 2 * k + CLONE_DIM))
     old = np.r_[:n, n + 2 * k : len(joint)]
     joint[np.ix_(old, old)] = P
     new = slice(n, n + 2 * k)
-    joint[new, :n] = G @ P[:MAP_OFFSET, :n]
-    joint[new, n + 2 * k :] = G @ P[:MAP_OFFSET, n:]
+    joint[new, :n] = G @ P[:common, :n]
+    joint[new, n + 2 * k :] = G @ P[:common, n:]
     joint[:, new] = joint[new].T
-    joint[new, new] = G @ P[:MAP_OFFSET, :MAP_OFFSET] @ G.T
+    joint[new, new] = G @ P[:common, :common] @ G.T
     for i in range(k):
         at = n + 2 * i
         joint[at : at + 2, at : at + 2] += noise[i]
@@ -351,10 +409,10 @@ def delays(points: SpherePoints, state: So3State) -> Array:
 
 def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3State:
     """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
-    m = len(known)
-    joint = np.zeros((MAP_OFFSET + 2 * m + CLONE_DIM, MAP_OFFSET + 2 * m + CLONE_DIM))
-    joint[:MAP_OFFSET, :MAP_OFFSET] = state.joint[:MAP_OFFSET, :MAP_OFFSET]
-    joint[MAP_OFFSET:-CLONE_DIM, MAP_OFFSET:-CLONE_DIM] = known.covariance
+    m, first = len(known), state.map_row
+    joint = np.zeros((first + 2 * m + CLONE_DIM, first + 2 * m + CLONE_DIM))
+    joint[:first, :first] = state.joint[:first, :first]
+    joint[first:-CLONE_DIM, first:-CLONE_DIM] = known.covariance
     return replace(
         state,
         landmarks=known.directions.copy(),
@@ -364,6 +422,7 @@ def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3Sta
         missed=np.zeros(m, dtype=np.intp),
         hidden=np.full(m, HIDDEN_SHARE),
         candidates=_NONE,
+        others=tuple(other._replace(hidden=np.full(m, HIDDEN_SHARE)) for other in state.others),
     )
 
 
@@ -383,6 +442,24 @@ def with_false_turn(state: So3State, turn: Array) -> So3State:
     covariances[:, :3, :3] += effects[1]
     covariances[:, 3:, 3:] += effects[2]
     return replace(state, joint=joint, modes=(means, covariances, weights))
+
+
+def _with_others(state: So3State, covariance: Array, others: tuple[OtherCamera, ...]) -> So3State:
+    """Return the state with errors of further cameras, of a `covariance` (7k, 7k), before the readout's error."""
+    k, n = len(covariance), state.map_row - 1
+    joint, old = np.zeros((len(state.joint) + k, len(state.joint) + k)), np.r_[:n, n + k : len(state.joint) + k]
+    joint[np.ix_(old, old)], joint[n : n + k, n : n + k] = state.joint, covariance
+    hidden = np.full(len(state.discs), HIDDEN_SHARE)
+    others = tuple(o if len(o.hidden) == len(hidden) else o._replace(hidden=hidden) for o in others)
+    return replace(state, joint=joint, others=others)
+
+
+def move_centres(joint: Array, covariance: Array, others: int) -> None:
+    """Add the covariance, (3, 3), of a motion of the ball that all cameras see to `joint` in place."""
+    centres = [slice(at, at + 3) for at in (KINEMATIC_DIM, *(READOUT + CAMERA_DIM * k for k in range(others)))]
+    for one in centres:
+        for other in centres:
+            joint[one, other] += covariance
 
 
 def add_common(joint: Array, covariance: Array) -> None:

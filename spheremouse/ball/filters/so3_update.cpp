@@ -8,9 +8,10 @@ constexpr double LINEAR = 0.02;         // rad: a correction larger than that is
 constexpr int PAIRS_WITHOUT_MODES = 2;  // four equations for a rotation: a step and a half-hidden disc look alike
 
 /// Return true if the rate is five standard deviations from zero. Noise must not determine a readout.
-bool is_significant(const Vector<3>& rate, const View<>& P) {
-    const Matrix<3> C = P.block<3, 3>(3, 3);
-    return P(READOUT, READOUT) > 0.0 && rate.dot(C.ldlt().solve(rate)) > 25.0;
+bool is_significant(const Body& body) {
+    const Matrix<3> C = body.P.block<3, 3>(3, 3);
+    const int at = body.readout_row();
+    return body.P(at, at) > 0.0 && body.rate.dot(C.ldlt().solve(body.rate)) > 25.0;
 }
 
 /// Subtract A' B from C, (n, p), where A is (m, n) and B (m, p). If `lower`, only from the lower triangle of C.
@@ -43,14 +44,14 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
 /// covariance for all modes. The new covariance is that of the whole mixture.
 ///
 /// The axes keep their estimate and covariance (Schmidt 1966). So does a centre that does not move, and the readout
-/// time while the rate is not significant. Axes, readout and centre are independent of the modes, so rate and
-/// acceleration are taken given them. Each hypothesis is then an ordinary update of Schmidt's filter, and their sum has
-/// a positive covariance. The reference keeps its estimate, since its increment was sent. Its covariance is the second
-/// moment about that estimate.
+/// time while the rate is not significant, and all errors of the other cameras. They are independent of the modes, so
+/// rate and acceleration are taken given them. Each hypothesis is then an ordinary update of Schmidt's filter, and
+/// their sum has a positive covariance. The reference keeps its estimate, since its increment was sent. Its covariance
+/// is the second moment about that estimate.
 Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity) {
     const View<>& prior = body.P;
     const int n = int(prior.rows()), k2 = int(seen.z.size()), m = 6 + k2;
-    const int apart = (is_significant(body.rate, prior) ? READOUT : MAP_OFFSET) - CORE;
+    const int apart = (is_significant(body) ? body.readout_row() : body.map_row()) - CORE;
     const int first = body.holds ? SHIFT : AXES, held = apart - (first - CORE);
     Dense U = prior.middleRows(CORE, apart), HU = seen.HP.middleCols(CORE, apart).transpose();
     const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, apart, apart));
@@ -189,21 +190,21 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
     const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
                      about.discs,    about.basis,       about.P,
                      about.readout,  about.centre,      about.known,
-                     about.holds};
+                     about.holds,    about.others};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
     if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
         Moved moved = move(about, r.dx, std::move(r.P));
         return {std::move(r), std::move(moved)};
     }
-    r.dx(READOUT) = 0.0;
+    r.dx(about.readout_row()) = 0.0;
     r.dx.segment<3>(SHIFT).setZero();  // the innovation is linear in readout and centre
     Each there = mean - r.dx;
     const Moved at = move(about, r.dx, about.P, &there);
     Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
     again.z -= again.H * there.head<CORE>();
     for (size_t i = 0; i < by.pairs.columns.size(); i++)
-        again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(MAP_OFFSET + 2 * by.pairs.columns[i]);
+        again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(about.map_row() + 2 * by.pairs.columns[i]);
     return correct_about(by, at.body(), there, again, round + 1);
 }
 

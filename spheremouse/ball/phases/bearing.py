@@ -14,7 +14,7 @@ from spheremouse.ball import centre_offset
 from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
 from spheremouse.ball.events import BallLost, OutOfRound, Why
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_motion import CLONE_DIM, MAP_OFFSET
+from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
 from spheremouse.ball.phases.follow import follow
@@ -40,6 +40,8 @@ _FRAME = 0.1  # s, the longest that one frame counts for
 def check_learning(state: TrackState[So3State], tracker: Tracker[So3Filter]) -> tuple[TrackState[So3State], Events]:
     """Check the centre in a frame before the ball has turned. If it moves, filter the kept frames again."""
     if not isinstance(state.phase, Learning) or not state.phase.views:
+        return state, ()
+    if state.phase.views[-1].camera != state.camera:
         return state, ()
     check, _ = _checked(state, 1.0 / 30.0, tracker)
     if check.evidence <= _OFF:
@@ -125,7 +127,7 @@ def _is_doubtful(state: TrackState[So3State]) -> bool:
 def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> CentreOffset | None:
     """Return the offset of the ball's centre by the last frame's discs, with a filter's attitude and map."""
     sure = np.flatnonzero(filter_state.hits >= ESTABLISHED_HITS)
-    variance = filter_state.joint.diagonal()[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
+    variance = filter_state.joint.diagonal()[filter_state.map_row : -CLONE_DIM].reshape(-1, 2).mean(axis=1)[sure]
     discs = KnownDiscs(filter_state.discs[sure], variance, filter_state.attitude, filter_state.rate)
     delay = delays(state.points, filter_state)
     return centre_offset.shift_of(state.points, delay, discs, tracker.rig.ball.radius, 2.0 * tracker.filter.disc_angle)
@@ -143,7 +145,7 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
 
 def _with_doubtful_map(state: So3State) -> So3State:
     """Return the state with discs as far off as the shift of the centre that was not known when they were found."""
-    joint, discs = state.joint.copy(), np.arange(MAP_OFFSET, len(state.joint) - CLONE_DIM)
+    joint, discs = state.joint.copy(), np.arange(state.map_row, len(state.joint) - CLONE_DIM)
     joint[discs, discs] += _DOUBT**2
     return replace(state, joint=joint)
 

@@ -86,7 +86,7 @@ def _detect(
     tracking, before = state.status is Status.TRACKING, state.search
     if not (tracking and state.known_to_turn):  # bolts, or another ball
         before = before._replace(size=0.0, contrast=0.0)
-    if not tracking or state.confirmed_at != state.filter.stamp:
+    if not tracking or not state.follows:
         return detector.detect(frame.image, before.contrast), before
     which = tracker.filter.visible(predicted)
     known = np.concatenate(

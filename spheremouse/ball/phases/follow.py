@@ -17,7 +17,7 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State, keep_candidates
-from spheremouse.ball.state import F, Tracker, TrackState, no_points
+from spheremouse.ball.state import F, Tracker, TrackState, clear_matches, no_points
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Status
 
@@ -37,6 +37,8 @@ def follow(
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
+    if state.filter.stamp != stamp:
+        return state
     if state.filter.known_seen < SECURE and is_covered(state, predicted, tracker):
         return without_effect(before, tracker, predicted)
     if all_are_discs(state):
@@ -65,7 +67,8 @@ def updated_hypotheses(
     """Filter the points under every attitude that is possible; `predicted` is the most probable one.
 
     Points that are `proven` (n,) to turn with the ball may join the map; None: those that earlier frames have proven.
-    Nothing joins unless the map may be extended, `extend_map`.
+    Nothing joins unless the map may be extended, `extend_map`. A frame without certain pairs is not used if another
+    camera has just confirmed the attitude, since a hand before one camera shows spots of its own.
     """
     points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
     if proven is None:
@@ -76,6 +79,8 @@ def updated_hypotheses(
     certain = None if state.alternatives else f.update_if_certain(predicted, points, proven)
     if certain is not None:
         filtered, alternatives = certain, ()
+    elif state.is_confirmed_by_another(stamp):
+        return not_used(state)
     else:
         rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
@@ -111,7 +116,7 @@ def _supports(
         points = len(state.points)
         by_chance = 2 * used < points and not tracker.filter.is_significant(predicted, used, points)
         return missing <= max(used, _HIDDEN_BY_CHANCE) and not by_chance
-    went_on = state.supported_at == state.filter.stamp and before <= _HIDDEN_BY_CHANCE
+    went_on = state.shown_at <= state.supported_at <= state.filter.stamp and before <= _HIDDEN_BY_CHANCE
     return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
 
 
@@ -131,6 +136,11 @@ def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracke
     used = len(filtered.used)
     in_place = used > 0 and not jumped and tracker.filter.is_significant(predicted, used, len(state.points))
     return most_missing and not in_place
+
+
+def not_used(state: TrackState[F]) -> TrackState[F]:
+    """Return the state after a frame that the filter does not use. It stays at the time of the frame before."""
+    return state._replace(filter=clear_matches(state.filter), confirmed=False)
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
@@ -245,7 +255,8 @@ def _with_candidates(
     if len(filtered.discs) > len(state.filter.discs):
         lookalikes = static.without_landmarks(lookalikes, filtered.discs, tracker.filter.disc_angle)
     lookalikes = static.without_candidates(lookalikes, refused)
-    filtered = keep_candidates(filtered, lookalikes.candidates.number)
+    others = [static.recent(other.lookalikes, state.filter.stamp) for other in state.others]
+    filtered = keep_candidates(filtered, np.concatenate([lookalikes.candidates.number, *others]))
     return state._replace(filter=filtered, lookalikes=lookalikes)
 
 

@@ -14,7 +14,7 @@ from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.phases.follow import updated_hypotheses, without_effect
+from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without_effect
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
 from spheremouse.geometry.camera import project
@@ -39,8 +39,15 @@ def learn(
     them turn together, the tracker masks the static ones and filters the kept frames again without them. Once discs are
     established, a new candidate adds a disc to the map only after the ball has turned.
 
+    Only frames of one camera count, since the others may show the same look-alikes elsewhere. Another camera takes its
+    part if it shows none for `loss.lost_after` s.
+
     `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
+    if phase.views and phase.views[-1].camera != state.camera:
+        if abs(stamp - phase.views[-1].stamp) <= tracker.settings.loss.lost_after:
+            return not_used(state), ()
+        phase = phase._replace(views=())
     if not phase.views and len(state.filter.discs) == 0:  # no uncertainty accumulates before the first two discs
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
@@ -50,7 +57,7 @@ def learn(
         return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
-    views = (*phase.views, BufferedFrame(stamp, state.detections, state.points, predicted, track))
+    views = (*phase.views, BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera))
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
@@ -78,7 +85,8 @@ def filtered_again(
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
-        state = state._replace(confirmed_at=view.stamp if state.confirmed else state.confirmed_at)
+        confirmed_at = view.stamp if state.confirmed else state.confirmed_at
+        state = state._replace(confirmed_at=confirmed_at, shown_at=view.stamp)
     return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
@@ -98,7 +106,7 @@ def update_all(
     few = np.count_nonzero(predicted.hits >= ESTABLISHED_HITS) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.detector.landmark_angle(tracker.rig)
-    follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed < 0.5
+    follows = state.follows and state.filter.known_missed < 0.5
     proven = np.full(len(state.points), few or (has_turned and follows))
     return updated_hypotheses(state, stamp, tracker, predicted, proven=proven)
 

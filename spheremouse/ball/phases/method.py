@@ -45,7 +45,7 @@ def _next_phase(
                 on_older_map = recognise_older_map(state, stamp, tracker)
                 if on_older_map is not None:
                     return on_older_map
-            exact = tracker.detector.is_exact
+            exact = tracker.detector.is_exact and state.filter.stamp == stamp  # else the frame is not used
             return check_bearings(before, state, stamp, tracker, predicted) if exact else (state, ())
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)

@@ -53,7 +53,7 @@ def lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tra
 
 
 def seen_since(phase: Lost, points: int, stamp: float) -> Lost:
-    """Return the phase with the time (s) since which at least two discs are in view, or None with fewer."""
+    """Return the phase with the time (s) since which a camera shows at least two discs, or None with fewer."""
     if points < 2:
         return phase._replace(in_view_since=None)
     since = stamp if phase.in_view_since is None else min(phase.in_view_since, stamp)  # the clock may start again
@@ -69,7 +69,7 @@ def recover(
     tracker tries a new map once discs have been in view for `loss.reset_after` s. In no case does it report motion
     that the discs do not show. `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
-    phase = seen_since(phase, len(state.points), stamp)
+    phase = seen_since(phase, state.most_in_view(stamp), stamp)
     state = state._replace(phase=phase, filter=clear_matches(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
     recognised = resting or recognised_attitude(state, stamp, tracker)
@@ -82,7 +82,7 @@ def recover(
         if resting is None:
             filtered, reported = filtered.clone_attitude(), filtered.attitude
             if isinstance(last, Learning):
-                last = Learning(found=True, views=(BufferedFrame(stamp, state.detections, state.points, filtered),))
+                last = Learning(found=True, views=(_buffered(state, stamp, filtered),))
         state = state._replace(lookalikes=forget(state.lookalikes))
         return start_tracking(state, last, filtered, reported, stamp), (Recognised(pairs),)
     if recognised is None and phase.lifted_at is None:
@@ -184,7 +184,8 @@ def recognise(
         state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
         return state._replace(absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
-    since = stamp if before is None or len(state.points) < _SPEAKS else min(before, stamp)
+    in_view = state.most_in_view(stamp)
+    since = stamp if before is None or in_view < _SPEAKS else min(before, stamp)
     state = state._replace(confirmed_at=stamp)
     if stamp - since < tracker.settings.loss.reset_after:
         return state._replace(phase=Recognising(since)), ()
@@ -213,6 +214,10 @@ def recognise_older_map(
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, BufferedFrame]:
     """Return a new map at the last attitude from this frame's points, and the view. It may include look-alikes."""
-    start = tracker.filter.initial(stamp, state.filter.attitude)
+    start = tracker.filter.initial(stamp, state.filter.attitude).with_cameras_of(state.filter)
     filtered = tracker.filter.update(start, state.points)
-    return filtered, BufferedFrame(stamp, state.detections, state.points, start)
+    return filtered, _buffered(state, stamp, start)
+
+
+def _buffered(state: TrackState[F], stamp: float, filter_state: F) -> BufferedFrame:
+    return BufferedFrame(stamp, state.detections, state.points, filter_state, camera=state.camera)

@@ -88,6 +88,10 @@ class EulerState:
         """Return the state with the reference of `other`."""
         return replace(self, reference=other.reference)
 
+    def with_cameras_of(self, other: "EulerState") -> "EulerState":
+        """Return the same state: the publication has one camera."""
+        return self
+
     def increment_covariance(self, turn: Array) -> Array:
         """Return the covariance, (6, 6), of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
 

@@ -51,7 +51,7 @@ def frame(rng, P, holds=False):
     discs = rng.normal(size=(4, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     rates = 0.002 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
-    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(3), 4, holds
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(3), 4, holds, 0
     noise = rng.normal(size=(4, 3, 3)) * 3e-4
     row = rng.uniform(-0.5, 0.5, 4)
     points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, rng.normal(size=(4, 3, 4)), 1.0, np.zeros(3)
@@ -218,7 +218,7 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
     rate, acceleration = rng.normal(size=(2, 3))
-    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(3), 4, False
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(3), 4, False, 0
     (attitude, new_rate, new_acceleration, moved, axes), _, readout, centre = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]

@@ -18,7 +18,7 @@ def drawn(seed, sigma=3e-3, m=12, foreign=3):
     discs = rng.normal(size=(m, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     motion = exp(rng.normal(size=3)), 3.0 * rng.normal(size=3), rng.normal(size=3)
-    body = *motion, discs, tangent_basis(discs), P, 2e-3, 1e-2 * rng.normal(size=3), m, False
+    body = *motion, discs, tangent_basis(discs), P, 2e-3, 1e-2 * rng.normal(size=3), m, False, 0
     row, k = rng.uniform(-0.5, 0.5, m + foreign), m + foreign
     delay, radius = 0.01 * row, 0.6
     direction = [place(body, j, delay[j] + body[6] * row[j])[0] for j in range(m)] + [*rng.normal(size=(foreign, 3))]

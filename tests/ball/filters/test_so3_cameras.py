@@ -1,0 +1,129 @@
+"""Several cameras of one ball: each has errors of its own, and one filter has all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball_world import detected
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+from so3_world import DISCS, DT, FILTER, OWN, RADIUS, draw, own_motion, points_at, seen, settled, squared
+
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_motion import CAMERA_DIM, READOUT
+from spheremouse.ball.filters.so3_state import with_map
+from spheremouse.ball.points import intersect
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp, log
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+PIXEL = 0.07  # px, noise of a centre
+ASIDE = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # a quarter of a turn about Y
+POSE_SIGMA = np.array([5e-4, 5e-4, 1e-3, 5e-4, 5e-4, 5e-4])  # m, rad
+BALL_SIGMA = np.array([5e-4, 5e-4, 5e-4, 2e-4])  # m
+
+
+def station(aside):
+    """Rig, pose and filter of a camera in front of the ball, or at its side."""
+    front = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.9]), np.diag(POSE_SIGMA**2))
+    turn = ASIDE if aside else np.eye(3)
+    pose = replace(front, rotation=turn @ front.rotation, position=turn @ front.position)
+    rig = Rig(CAMERA, Ball(RADIUS, np.zeros(3), np.diag(BALL_SIGMA**2)), NO_TARGETS, 0.02)
+    towards, horizon = pose.position / 1.9, RADIUS / 1.9
+    considered = block_diag(pose.covariance, rig.ball.covariance)
+    return rig, pose, So3Filter(OWN.settings, towards, horizon, 0.02 / RADIUS, RADIUS, considered)
+
+
+STATIONS = station(aside=False), station(aside=True)
+
+
+def frame(which, R, errors, rng):
+    """Points of a frame, as the rig of a camera sees them that is off by errors, (10,), of pose and ball."""
+    rig, pose, filter_ = STATIONS[which]
+    place = DISCS @ R.T
+    place = place[place @ filter_.towards_camera > filter_.horizon + 0.2]
+    ball = replace(rig.ball, centre=errors[6:9], radius=RADIUS + errors[9])
+    through = replace(pose, position=pose.position + errors[:3], rotation=exp(errors[3:6]) @ pose.rotation)
+    uv = project(through.to_cam(ball.centre + ball.radius * place), rig.camera)[0]
+    return intersect(detected(uv, rng, PIXEL), rig, pose)
+
+
+def both():
+    """The state of the camera in front, before the first frame, with the one at the side."""
+    front, side = (filter_ for _, _, filter_ in STATIONS)
+    return front.initial(0.0, np.eye(3)).with_camera(side.camera_covariance(), front.shared_covariance(side))
+
+
+def play(cameras, errors, rng, frames=60):
+    """Squared deviations, (n,), of the attitude, and traces of its covariance, of a run with frames in turn."""
+    state = both() if len(cameras) > 1 else STATIONS[cameras[0]][2].initial(0.0, np.eye(3))
+    squares, traces, at = [], [], 0
+    for k, (R, _, _) in enumerate(own_motion(rng, frames)):
+        which = cameras[k % len(cameras)]
+        state, at = (state if which == at or len(cameras) == 1 else state.facing(0)), which
+        filter_ = STATIONS[which][2]
+        state = filter_.update(filter_.predict(state, k * DT), frame(which, R, errors[which], rng))
+        if k >= 20:
+            squares.append(squared(log(R @ state.attitude.T), state.covariance[:3, :3]))
+            traces.append(np.trace(state.covariance[:3, :3]))
+    return np.mean(squares), np.mean(traces)
+
+
+@pytest.mark.slow
+def test_the_errors_of_two_cameras_are_in_the_covariance():
+    """60 drawn poses of each camera, and one ball: chi-square of the attitude, 95 % band of the runs' mean."""
+    rng = np.random.default_rng(51)
+    poses, balls = draw(np.diag(np.tile(POSE_SIGMA, 2) ** 2), rng, 60), draw(np.diag(BALL_SIGMA**2), rng, 60)
+    errors = [(np.r_[pose[:6], ball], np.r_[pose[6:], ball]) for pose, ball in zip(poses, balls, strict=True)]
+    ours = np.array([play((0, 1), each, rng) for each in errors])
+    low, high = chi2.ppf([0.025, 0.975], 3 * 60) / 60
+    assert low < ours[:, 0].mean() < high
+    alone = np.array([play((0,), each, rng) for each in errors[:10]])
+    assert ours[:, 1].mean() < alone[:, 1].mean() / 1.4
+
+
+def test_a_camera_without_frames_changes_nothing():
+    rng, errors = np.random.default_rng(52), np.zeros(10)
+    alone, beside = STATIONS[0][2].initial(0.0, np.eye(3)), both()
+    for k, (R, _, _) in enumerate(own_motion(rng, 20)):
+        filter_, points = STATIONS[0][2], frame(0, R, errors, rng)
+        alone, beside = (filter_.update(filter_.predict(s, k * DT), points) for s in (alone, beside))
+    assert len(beside.used) > 3
+    assert_allclose(beside.attitude, alone.attitude, atol=1e-12)
+    rest = np.delete(np.arange(len(beside.joint)), READOUT + np.arange(CAMERA_DIM))
+    assert_allclose(beside.joint[np.ix_(rest, rest)], alone.joint, rtol=1e-6, atol=1e-14)
+    prior = STATIONS[1][2].camera_covariance()
+    assert_array_equal(beside.facing(0).joint[9:15, 9:15], prior[:6, :6])
+
+
+def test_a_state_that_faces_another_camera_and_back_is_the_same():
+    state, _ = settled()
+    state = state.with_camera(np.diag(np.arange(1.0, 8.0)), np.zeros((7, 7)))
+    state = state.with_camera(np.diag(np.arange(11.0, 18.0)), np.full((14, 7), 0.1))
+    for which in range(2):
+        there = state.facing(which)
+        assert_array_equal(there.joint[9, 9], (1.0, 11.0)[which])
+        assert_array_equal(there.joint[there.map_row - 1, there.map_row - 1], (7.0, 17.0)[which])
+        back = there.facing(which)
+        assert_array_equal(back.joint, state.joint)
+        assert_array_equal(back.hidden, state.hidden)
+        assert [o.hidden.tolist() for o in back.others] == [o.hidden.tolist() for o in state.others]
+
+
+def test_maps_of_several_cameras_grow_and_shrink_together():
+    """A disc that comes or goes does so for each camera, and a saved map has no part of a camera."""
+    state, R = settled()
+    two = state.with_camera(1e-8 * np.eye(7), np.zeros((7, 7)))
+    turned = exp(np.array([0.0, 0.5, 0.0])) @ R
+    later = FILTER.update(replace(two, attitude=turned), points_at(seen(turned)))
+    assert len(later.discs) > len(two.discs)
+    assert [len(other.hidden) for other in later.others] == [len(later.discs)]
+    saved, alone = two.to_map(1), state.to_map(1)
+    assert_array_equal(saved.directions, alone.directions)
+    assert_array_equal(saved.covariance, alone.covariance)
+    assert with_map(two, saved).joint.shape == two.joint.shape
+    new = FILTER.initial(0.0, np.eye(3)).with_reference_of(two)
+    assert len(new.others) == 1
+    assert_array_equal(new.facing(0).joint[9:15, 9:15], 1e-8 * np.eye(6))
