@@ -13,6 +13,7 @@ from spheremouse.ball.events import Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
 from spheremouse.geometry.rotation import exp, hat, log
+from spheremouse.simulate.ball.profile import Gestures, stroke
 from spheremouse.tracker import Status
 
 
@@ -63,6 +64,22 @@ def test_a_saved_map_is_used_among_false_candidates(number, spread):
                 unconfirmed += not state.confirmed
     assert recognised >= 19
     assert unconfirmed < 0.005 * 20 * 30
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_flick_is_followed_at_any_frame_rate(axis):
+    """In 4 ms a step of the acceleration does not show, so the filter keeps it in mind until it does."""
+    flick = stroke(0.2, axis, np.radians(400.0), up=0.12, hold=0.1, down=0.05)
+    motion, tracker = Gestures((flick,), 0.6), build(RIG, POSE, Settings())
+    for fps in (30.0, 250.0):
+        rng, t, errors = np.random.default_rng(1), np.arange(0.0, 0.6, 1.0 / fps), []
+        state = begin(tracker, 0.0, known=saved_map(DISCS))
+        for stamp, R, rate in zip(t, motion.attitude(t), motion.rate(t), strict=True):
+            state, estimate, _ = advance(state, stamp, detected(pixels(in_view(R)), rng), tracker)
+            errors.append([tilt(state, R), np.linalg.norm(estimate.rate[:3] - rate)])
+        attitude, speed = np.degrees(np.max(errors, axis=0))
+        assert attitude < 0.1
+        assert speed < {30.0: 200.0, 250.0: 20.0}[fps]
 
 
 @pytest.mark.parametrize("spread", [None, 0.1])

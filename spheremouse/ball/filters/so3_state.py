@@ -26,8 +26,8 @@ _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
-# Hypotheses about a step of the acceleration in the last interval, none or one at each level: mean (j, 6), rad/s and
-# rad/s², of rate and acceleration less those of the state, covariance (j, 6, 6), probability with each level (j, l).
+# Hypotheses about a recent step of the acceleration, none or one at each level: mean (j, 6), rad/s and rad/s², of rate
+# and acceleration less those of the state, covariance (j, 6, 6), probability with each level (j, l).
 Modes = tuple[Array, Array, Array]
 
 

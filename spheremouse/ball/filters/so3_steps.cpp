@@ -6,8 +6,9 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double NEGLIGIBLE = 1e-5;  // probability of a mode or step
-constexpr double MINOR = 1e-3;       // share of a mode below which a hypothesis is left out
+constexpr double NEGLIGIBLE = 1e-5;      // probability of a mode, or of a step as long as it is recent
+constexpr double RESOLVED = 1.0 / 30.0;  // s: a step of 1 rad/s² has moved a disc by twice the noise of its place
+constexpr double MINOR = 1e-3;           // share of a mode below which a hypothesis is left out
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
 /// One instant of a step: the information y, B on the new acceleration, and its levels' probabilities.
@@ -20,6 +21,7 @@ struct Instant {
 
 /// The posterior given one mode of the last frame.
 struct Given {
+    size_t mode;      // its index
     Vector<6> x;      // mean without a step
     Matrix<6> C;      // covariance of x for a known step
     Matrix<6, 9> Cd;  // a step d moves the mean of x by -Cd d
@@ -30,6 +32,12 @@ struct Given {
     double square;           // normalised square of z without a step, less z' R^-1 z
     double none = 0.0;       // probability of no step
     std::array<Instant, INSTANTS> instants;
+
+    /// Return the share of the mode that becomes mode k without a step.
+    double becomes(int k, double fade) const {
+        const double left = mode > 0 ? fade : 1.0;
+        return k == 0 ? left : (k == int(mode) ? 1.0 - left : 0.0);
+    }
 
     /// Return the probability of a step at the level k.
     double at_level(int k) const {
@@ -84,7 +92,7 @@ double weigh(Instant& step, const Given& given, const Vector<Dynamic>& priors, c
     step.p.setZero(priors.size());
     step.square.setConstant(priors.size(), INFINITE);
     for (int k = 0; k < priors.size(); k++) {
-        if (!(priors(k) > NEGLIGIBLE)) continue;
+        if (!(priors(k) > 0.0)) continue;
         const Matrix<3> K = Matrix<3>::Identity() + variances(k) * step.B;
         step.p(k) = priors(k) * given.volume / std::sqrt(K.determinant());
         step.square(k) = constant - variances(k) * step.y.dot(K.inverse() * step.y);
@@ -132,7 +140,8 @@ void drop_minor(std::vector<Given>& given, int levels) {
 }
 
 /// Join the hypotheses: all with the same new level become one mode.
-void merge(const std::vector<Given>& given, const Effect& effect, const Vector<Dynamic>& variances, Posterior& r) {
+void merge(const std::vector<Given>& given, const Effect& effect, const Vector<Dynamic>& variances, double fade,
+           Posterior& r) {
     const int levels = int(variances.size());
     const Matrix<6> Tx = effect.T.leftCols<6>();
     r.mean.setZero();
@@ -146,10 +155,9 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
         const Matrix<6, 9> M = effect.T.rightCols<9>() - Tx * one.Cd;
         const Matrix<6> spread = Tx * one.C * Tx.transpose() + base * base.transpose();
         Moments all;
-        all.probability = one.none;
         for (int k = 0; k <= levels; k++) {
             Moments d;
-            d.probability = k == 0 ? one.none : 0.0;
+            d.probability = one.none * one.becomes(k, fade);
             for (const Instant& step : one.instants)
                 if (k > 0 && step.p(k - 1) > 0.0) add(d, step, k - 1, variances(k - 1), one.acceleration);
             if (d.probability == 0.0) continue;
@@ -158,8 +166,8 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
             share(k) += d.probability;
             r.modes.means[k] += d.probability * base + moved;
             r.modes.covariances[k] += d.probability * spread + cross + cross.transpose() + M * d.second * M.transpose();
-            if (k == 0) continue;
             all.probability += d.probability;
+            if (k == 0) continue;
             all.first += d.first;
             all.second += d.second;
             all.within += d.within;
@@ -182,7 +190,6 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
     r.covariance -= r.mean * r.mean.transpose();
     const Vector<6> mean = effect.T * r.mean;
     for (int k = 0; k <= levels; k++) {
-        if (k > 0) r.modes.weights(k, k) = share(k);
         if (share(k) == 0.0) continue;
         r.modes.means[k] /= share(k);
         r.modes.covariances[k] =
@@ -220,7 +227,9 @@ nb::tuple modes_to_numpy(const Modes& modes) {
 Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
                     const Modes& modes) {
     const int levels = int(steps.variances.size()) - 1;
-    const double quiet = std::exp(-steps.interval / steps.between);
+    const double quiet = std::exp(-steps.interval / steps.between), fade = std::min(1.0, steps.interval / RESOLVED);
+    const double chance = (1.0 - quiet) / INSTANTS;
+    const double recent = (1.0 - std::exp(-std::max(steps.interval, RESOLVED) / steps.between)) / INSTANTS;
     const Vector<Dynamic> variances = steps.variances.tail(levels);
     std::vector<Given> given;
     std::vector<Vector<Dynamic>> kept;  // (1 + levels,) probability of no step
@@ -229,11 +238,13 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3
         const Vector<Dynamic> weights = modes.weights.row(nb::ssize_t(j));
         if (weights.sum() < NEGLIGIBLE) continue;
         Given one = condition(gram, effect.root, modes.means[j], modes.covariances[j]);
+        one.mode = j;
         one.acceleration = acceleration + modes.means[j].tail<3>();
         kept.push_back(quiet * weights);
         kept.back()(0) = weights(0);
         one.none = kept.back().sum() * one.volume;
-        const Vector<Dynamic> priors = (1.0 - quiet) / INSTANTS * weights.tail(levels);
+        const Vector<Dynamic> at_level = weights.tail(levels);
+        const Vector<Dynamic> priors = (recent * at_level.array() > NEGLIGIBLE).select(chance * at_level, 0.0);
         least = std::min(least, one.square);
         for (int s = 0; s < INSTANTS; s++) {
             const double before = (s + 0.5) / INSTANTS * steps.interval;  // the frame, s
@@ -259,18 +270,20 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3
         mean_square += one.none;
         if (one.none > 0.0) {
             r.excess += one.none * one.square;
-            r.modes.weights.row(0) += one.none / kept[j].sum() * kept[j];
+            for (int k = 0; k <= levels; k++)
+                r.modes.weights.row(k) += one.becomes(k, fade) * one.none / kept[j].sum() * kept[j];
         }
         for (Instant& step : one.instants) {
             step.p /= all;
             for (int k = 0; k < levels; k++) {
                 if (step.p(k) == 0.0) continue;
+                r.modes.weights(1 + k, 1 + k) += step.p(k);
                 mean_square += step.p(k) * variances(k) / steps.variances(0);
                 r.excess += step.p(k) * step.square(k);
             }
         }
     }
-    merge(given, effect, variances, r);
+    merge(given, effect, variances, fade, r);
     r.level = std::sqrt(mean_square);
     r.log_ratio = std::log(all) - 0.5 * least;
     return r;

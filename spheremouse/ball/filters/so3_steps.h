@@ -5,11 +5,11 @@
 // independent of the last one (compound Poisson jumps). The second moments are those of Singer (1970).
 //
 // The instant of a step between two frames, its level and its size are unknown. Each pair (instant, level) is a
-// hypothesis, and its likelihood is its weight. A step shortly before a frame hardly shows in that frame. So the
-// hypotheses about the last interval stay apart for one more frame as the modes of the state: no step, or a step at one
-// of the levels. The next frame weighs each mode together with each hypothesis about the new interval. Then all with
-// the same new level become one mode (generalised pseudo-Bayesian of order 2: Bar-Shalom, Li, Kirubarajan 2001, section
-// 11.6.5).
+// hypothesis, and its likelihood is its weight. A step shows in the discs only after some time. So the hypotheses stay
+// apart as the modes of the state: no recent step, or a step at one of the levels. The next frame weighs each mode
+// together with each hypothesis about the new interval. Then all with the same new level become one mode (generalised
+// pseudo-Bayesian of order 2: Bar-Shalom, Li, Kirubarajan 2001, section 11.6.5). A step is recent for 1/30 s on the
+// average, at any frame rate.
 #pragma once
 
 #include "spheremouse/native/matrices.h"
@@ -27,7 +27,7 @@ constexpr int CLONE = 3;                 // at the end
 
 constexpr int INSTANTS = 6;  // of a step in an interval
 
-/// The errors of rate and acceleration, less those that all modes share, for each level of the last step.
+/// The errors of rate and acceleration, less those that all modes share, for each level of a recent step.
 struct Modes {
     std::vector<Vector<6>> means;
     std::vector<Matrix<6>> covariances;

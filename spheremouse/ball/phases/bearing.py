@@ -37,13 +37,18 @@ _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
 
 
-def check_learning(state: TrackState[So3State], tracker: Tracker[So3Filter]) -> tuple[TrackState[So3State], Events]:
-    """Check the centre in a frame before the ball has turned. If it moves, filter the kept frames again."""
+def check_learning(
+    before: TrackState[So3State], state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """Check the centre in a frame before the ball has turned; `before` is the state before that frame.
+
+    If it moves, filter the kept frames again.
+    """
     if not isinstance(state.phase, Learning) or not state.phase.views:
         return state, ()
     if state.phase.views[-1].camera != state.camera:
         return state, ()
-    check, _ = _checked(state, 1.0 / 30.0, tracker)
+    check, _ = _checked(state, _interval(before, stamp), tracker)
     if check.evidence <= _OFF:
         return state._replace(centre=check), ()
     moved = tracker.filter.let_centre_move(state.filter, proven=False)
@@ -65,7 +70,7 @@ def check_bearings(
     if predicted.centre_noise == 0.0 and state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state):
         return state, ()
     radius, events = tracker.rig.ball.radius, ()
-    dt = min(max(stamp - before.filter.stamp, 1e-3), _FRAME)
+    dt = _interval(before, stamp)
     check, shift = _checked(state, dt, tracker)
     if check.evidence > _OFF:
         events = () if check.moved else (OutOfRound(),)
@@ -99,6 +104,11 @@ def back_on_bearings(
         return True
     shift = _shift(state, filter_state, tracker)
     return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
+
+
+def _interval(before: TrackState[So3State], stamp: float) -> float:
+    """Return the time, s, that a frame counts for after the state before it."""
+    return min(max(stamp - before.filter.stamp, 1e-3), _FRAME)
 
 
 def _checked(

@@ -34,9 +34,9 @@ def _next_phase(
         case Recognising():
             return recognise(state, state.phase, stamp, tracker)
         case Learning():
-            state, events = learn(state, state.phase, stamp, tracker, predicted)
+            before, (state, events) = state, learn(state, state.phase, stamp, tracker, predicted)
             if tracker.detector.is_exact:
-                state, more = check_learning(state, tracker)
+                state, more = check_learning(before, state, stamp, tracker)
                 events = (*events, *more)
             return state, events
         case Tracking():

@@ -14,6 +14,7 @@ from tests.ball.filters.twins import linear, place, transfer
 
 DT = 1.0 / 30.0
 BETWEEN = 0.2
+RESOLVED = 1.0 / 30.0  # s
 INSTANTS = (np.arange(6) + 0.5) / 6
 VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
 N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
@@ -86,19 +87,26 @@ def corrected(body, points, dt, modes):
     return P, at_level, level, modes, log_likelihood, dx
 
 
-def each_on_its_own(means, covariances, weights, H, R, z, acceleration, held):
-    """Return for each hypothesis its modes before and after, its joint probability, and Schmidt's moments."""
-    quiet = np.exp(-DT / BETWEEN)
-    for mean, P, at_level in zip(means, covariances, weights, strict=True):
+def each_on_its_own(means, covariances, weights, H, R, z, acceleration, held, dt):
+    """Return for each hypothesis its new mode, its level, whether it is a step, its probability, and its moments."""
+    quiet, fades = np.exp(-dt / BETWEEN), min(1.0, dt / RESOLVED)
+    recent = (1.0 - np.exp(-max(dt, RESOLVED) / BETWEEN)) / len(INSTANTS)
+    for mode, (mean, P, at_level) in enumerate(zip(means, covariances, weights, strict=True)):
         for level, weight in enumerate(at_level):
-            yield 0, level, *schmidt(weight * (quiet if level else 1.0), mean, P, H, R, z, held)
-            for before in INSTANTS if level and (1.0 - quiet) / len(INSTANTS) * weight > 1e-5 else ():
-                t = before * DT
+            for after, share in ((0, fades if mode else 1.0), (mode, 1.0 - fades)) if mode else ((0, 1.0),):
+                yield after, level, False, *schmidt(share * weight * (quiet if level else 1.0), mean, P, H, R, z, held)
+            for before in INSTANTS if level and recent * weight > 1e-5 else ():
+                t = before * dt
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
                 moved = mean - effect @ (acceleration + mean[6:9])
                 share = (1.0 - quiet) / len(INSTANTS) * weight
-                yield level, level, *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z, held)
+                yield (
+                    level,
+                    level,
+                    True,
+                    *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z, held),
+                )
 
 
 def schmidt(share, mean, P, H, R, z, held):
@@ -115,9 +123,10 @@ def moments(p, means, covariances):
     return mean, np.einsum("k,kij->ij", p, covariances) + (means - mean).T @ (p[:, None] * (means - mean))
 
 
+@pytest.mark.parametrize("dt", [DT, 0.1 * DT])
 @pytest.mark.parametrize("holds", [False, True])
 @pytest.mark.parametrize("far", [0.0, 0.3, 2.0])
-def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds):
+def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds, dt):
     """Without hypotheses below a thousandth of their mode, which are left out."""
     rng = np.random.default_rng(1)
     for _ in range(10):
@@ -125,12 +134,16 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds):
         _, prior = moments(weights.sum(axis=1), means, covariances)
         body, points, H, R = frame(rng, prior, holds)
         z = 2e-3 * rng.normal(size=8)
-        new, levels, p, after, spreads = map(
+        new, levels, steps, p, after, spreads = map(
             np.array,
-            zip(*each_on_its_own(means, covariances, weights, H, R, z, body[2], APART if holds else HELD), strict=True),
+            zip(
+                *each_on_its_own(means, covariances, weights, H, R, z, body[2], APART if holds else HELD, dt),
+                strict=True,
+            ),
         )
         for level in range(1, len(VARIANCES)):
-            p[(new == level) & (p < max(1e-3 * p[new == level].sum(), 1e-8 * p.sum()))] = 0.0
+            of_level = steps & (new == level)
+            p[of_level & (p < max(1e-3 * p[of_level].sum(), 1e-8 * p.sum()))] = 0.0
         likelihood, p = p.sum(), p / p.sum()
         mean, total = moments(p, after, spreads)
         total[-CLONE_DIM:, -CLONE_DIM:] += np.outer(mean, mean)[-CLONE_DIM:, -CLONE_DIM:]  # about what was sent
@@ -140,7 +153,7 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds):
         total = T @ total @ T.T
 
         modes = means[:, 3:9].copy(), covariances[:, 3:9, 3:9].copy(), weights
-        P, at_level, _, modes, log_likelihood, dx = corrected(body, showing(body, points, z), DT, modes)
+        P, at_level, _, modes, log_likelihood, dx = corrected(body, showing(body, points, z), dt, modes)
         scale = np.sqrt(np.diag(total))
         assert_allclose(dx / scale, expected / scale, atol=1e-7)
         assert_allclose(P / np.outer(scale, scale), total / np.outer(scale, scale), atol=1e-7)
