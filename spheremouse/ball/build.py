@@ -26,6 +26,7 @@ from spheremouse.ball.state import (
     TrackState,
     no_points,
 )
+from spheremouse.ball.texture.both import BOTH, Both
 from spheremouse.ball.texture.detector import Texture
 from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.errors import ConfigurationError, PoseError
@@ -40,7 +41,12 @@ class Choice(NamedTuple):
     method: Method
 
 
-DETECTORS = {"default": Choice(Discs(), SO3), "blobs": Choice(Blobs(), SO3), "texture": Choice(Texture(), TEXTURE)}
+DETECTORS = {
+    "default": Choice(Discs(), SO3),
+    "blobs": Choice(Blobs(), SO3),
+    "texture": Choice(Texture(), TEXTURE),
+    "both": Choice(Both(), BOTH),
+}
 
 
 def detector_name(rig: Rig, settings: Settings) -> str:

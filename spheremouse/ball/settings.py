@@ -73,8 +73,11 @@ class EulerSettings:
 class Settings:
     """All parameters of initialisation and use."""
 
-    detector: Literal["default", "blobs", "texture"] = param(
-        "default", "-", "what is seen of the ball: discs, discs as published (`blobs`), or its pattern (`texture`)"
+    detector: Literal["default", "blobs", "texture", "both"] = param(
+        "default",
+        "-",
+        "what is seen of the ball: discs, discs as published (`blobs`), its pattern (`texture`), or discs and the "
+        "pattern between them (`both`)",
     )
     tracker: Literal["so3", "ekf1", "ekf2"] = param("so3", "-", "filter; `ekf1` and `ekf2` are the published ones")
     rings: RingSettings = field(default_factory=RingSettings)
@@ -86,5 +89,5 @@ class Settings:
     loss: LossSettings = field(default_factory=LossSettings)
 
     def __post_init__(self) -> None:
-        if self.detector == "texture" and self.tracker != "so3":
-            raise ValueError(f"detector: texture needs the tracker so3, not {self.tracker}")
+        if self.detector in ("texture", "both") and self.tracker != "so3":
+            raise ValueError(f"detector: {self.detector} needs the tracker so3, not {self.tracker}")

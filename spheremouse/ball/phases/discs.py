@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.detections import Detections, Image
@@ -56,7 +57,7 @@ class Discs:
     ) -> tuple[Detections, SearchState]:
         if not tracker.method.keeps_map:  # there is no place to look at
             return tracker.detector_data.with_projection(state.colours.projection).detect(frame.image), state.search
-        return _detect(state, frame, tracker, predicted)
+        return detect_discs(state, frame, tracker, predicted, tracker.filter.visible(predicted))
 
     def clear_points(self, points: int) -> int:
         return points
@@ -73,10 +74,14 @@ def unmasked_detector(rig: Rig, pose: Pose, settings: Settings) -> DiscDetector:
     return disc_detector(replace(settings.discs, masks=()), rig, pose)
 
 
-def _detect(
-    state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
+def detect_discs(
+    state: TrackState[So3State],
+    frame: Frame,
+    tracker: Tracker[So3Filter],
+    predicted: So3State,
+    which: NDArray[np.intp],
 ) -> tuple[Detections, SearchState]:
-    """Return the disc candidates of a frame, and the state of the search.
+    """Return the disc candidates of a frame, and the state of the search. `which`, (k,), of the landmarks are in view.
 
     While the attitude is confirmed, the detector measures each disc of the map in a window at its predicted place, and
     searches a part of the rest of the ball. Until the ball turns, or if the detector sees too few of the discs of the
@@ -88,7 +93,6 @@ def _detect(
         before = before._replace(size=0.0, contrast=0.0)
     if not tracking or not state.follows:
         return detector.detect(frame.image, before.contrast), before
-    which = tracker.filter.visible(predicted)
     known = np.concatenate(
         [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
     )  # discs, and what may be one

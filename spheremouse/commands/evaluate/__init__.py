@@ -20,7 +20,7 @@ class Options:
     tracker: Annotated[
         str | None, typer.Option(metavar="so3|ekf1|ekf2|wand", help="Filter; recordings of a wand take wand.")
     ] = None
-    detector: Annotated[str | None, typer.Option(metavar="default|blobs", help="Disc detector.")] = None
+    detector: Annotated[str | None, typer.Option(metavar="default|blobs|texture|both", help="Detector.")] = None
     pose: Annotated[
         str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
     ] = "own"

@@ -26,7 +26,12 @@ from spheremouse.simulate.to_dataset import scene_description
 from spheremouse.tracker import Status
 
 OPTIONS = SimulationOptions(motion="thesis", seconds=2.0, noise=3.0, size=(320, 240), seed=3)
-PATTERNS = {"discs": None, "texture": "speckle", "beacons": "speckle"}
+FILMS = {
+    "discs": OPTIONS,
+    "texture": replace(OPTIONS, pattern="speckle"),
+    "both": replace(OPTIONS, pattern="marble", discs=12),
+    "beacons": replace(OPTIONS, pattern="speckle"),
+}
 HIDDEN = range(45, 51)  # frames: a loss would count from the tenth
 
 
@@ -38,7 +43,7 @@ class Watched(NamedTuple):
     log: str
 
 
-@pytest.fixture(params=PATTERNS)
+@pytest.fixture(params=FILMS)
 def name(request, monkeypatch):
     if request.param == "beacons":
         monkeypatch.setitem(DETECTORS, "texture", Choice(Beacons(), SO3))
@@ -47,18 +52,22 @@ def name(request, monkeypatch):
 
 @cache
 def film(name):
-    simulation = prepare(replace(OPTIONS, pattern=PATTERNS[name]))
+    simulation = prepare(FILMS[name])
     filmed = list(simulate(simulation))
     frames = [with_attitude(f.frame, f.attitude) if name == "beacons" else f.frame for f in filmed]
     rig = replace(simulation.scene.rig(), pose=simulation.scene.pose)
     return rig, frames, np.array([f.attitude for f in filmed])
 
 
+def settings_of(name):
+    return Configuration(detector="both" if name == "both" else "default")
+
+
 @cache
 def watched(name, hidden=range(0)):
     rig, frames, _ = film(name)
-    seen = Watched(BallAdapter(rig, Configuration(), None, lambda _: None), [], [], [], "")
-    support, lines = seen.adapter.tracker.detector.support_mask(rig, rig.pose, Configuration()) > 0, []
+    seen = Watched(BallAdapter(rig, settings_of(name), None, lambda _: None), [], [], [], "")
+    support, lines = seen.adapter.tracker.detector.support_mask(rig, rig.pose, settings_of(name)) > 0, []
     for k, frame in enumerate(frames):
         image = frame.image.copy()
         image[support & (k in hidden)] = 3
@@ -120,7 +129,7 @@ def test_status_marks_and_log_show_its_points_in_its_words(name):
 
 def test_a_masked_recording_gives_the_same_track(name):
     rig, frames, _ = film(name)
-    tracker, keep = build(rig, rig.pose, Configuration()), kept(rig, rig.pose, Configuration())
+    tracker, keep = build(rig, rig.pose, settings_of(name)), kept(rig, rig.pose, settings_of(name))
     black = [replace(frame, image=masked(frame.image, keep)) for frame in frames]
     for was, now in zip(track(iter(frames), tracker), track(iter(black), tracker), strict=True):
         np.testing.assert_array_equal(was.estimate.rotation, now.estimate.rotation)
@@ -130,7 +139,7 @@ def test_a_masked_recording_gives_the_same_track(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["beacons"], indirect=True)
 def test_commands_need_no_line_for_a_new_detector(name, tmp_path):
-    simulation = prepare(replace(OPTIONS, pattern=PATTERNS[name], seconds=1.0, size=(640, 480)))
+    simulation = prepare(replace(FILMS[name], seconds=1.0, size=(640, 480)))
     folder = tmp_path / "film"
     with dataset_folder(folder, scene_description(simulation, "film")) as made:
         writer = TruthWriter(made, centres=False, discs=False)
