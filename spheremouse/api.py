@@ -71,7 +71,9 @@ def track(
         settings = _settings_for(source, settings)
     else:
         setup, settings = Setup(source), settings or Configuration()
-    return _samples(setup, RunConfig(settings, name, (), rig, None, None, None, None))
+    return _samples(
+        setup, RunConfig(settings, name, (), rig, rig_path=None, camera=None, camera_path=None, map_path=None)
+    )
 
 
 def _settings_for(recording: Recording, given: Configuration | None) -> Configuration:

@@ -130,7 +130,7 @@ def subscriber(spec):
         return
     open_it = (lambda: Gamepad(NullDevice(), STICK)) if kind == "gamepad" else (lambda: open_output(spec))
     output = RunOutput(spec, OutputThread(open_it, PointerSettings(), print), OutputCounter(COUNTS))
-    yield lambda report, taken: output.submit(report, taken, True)
+    yield lambda report, taken: output.submit(report, taken, wanted=True)
     output.thread.close()
 
 

@@ -124,7 +124,7 @@ def areas(points: int) -> Result:
     scene = default_scene(1, "far")
     whole = 4.0 * np.pi * scene.ball_radius**2
     alone = [
-        whole * float(np.mean(_met(sphere, scene, replace(scene.pose, position=np.array([0.0, 0.0, d])), False)))
+        whole * float(np.mean(_met(sphere, scene, replace(scene.pose, position=np.array([0.0, 0.0, d])), around=False)))
         for d in _DISTANCES
     ]
     views = {}

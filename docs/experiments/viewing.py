@@ -46,19 +46,19 @@ KINDS = {
     for k in (
         Kind(
             "rate", "Frame rate", "frames per second", ("15", "20", "30", "40", "60", "80", "120", "240"),
-            ("15", "30", "60", "240"), "", True, (*tour.CLASSIC, tour.PUBLISHED, tour.KNOWN),
+            ("15", "30", "60", "240"), "", log=True, shown=(*tour.CLASSIC, tour.PUBLISHED, tour.KNOWN),
         ),
         Kind(
             "size", "Resolution", "rows of the picture", ("320x240", "480x360", "640x480", "1280x720",
-            "1920x1080"), ("320x240", "640x480"), "640x480", True, (*tour.CLASSIC, tour.KNOWN),
+            "1920x1080"), ("320x240", "640x480"), "640x480", log=True, shown=(*tour.CLASSIC, tour.KNOWN),
         ),
         Kind(
-            "blur", "Motion blur", "exposure, ms", ("0", "8", "16", "24", "33"), ("0", "33"), "0", False,
-            (*tour.CLASSIC, tour.KNOWN),
+            "blur", "Motion blur", "exposure, ms", ("0", "8", "16", "24", "33"), ("0", "33"), "0", log=False,
+            shown=(*tour.CLASSIC, tour.KNOWN),
         ),
         Kind(
-            "readout", "Rolling shutter", "readout, ms", ("0", "10", "20", "30"), ("0", "30"), "0", False,
-            (*tour.CLASSIC, tour.IGNORED, tour.ESTIMATED, tour.KNOWN),
+            "readout", "Rolling shutter", "readout, ms", ("0", "10", "20", "30"), ("0", "30"), "0", log=False,
+            shown=(*tour.CLASSIC, tour.IGNORED, tour.ESTIMATED, tour.KNOWN),
         ),
     )
 }  # fmt: skip

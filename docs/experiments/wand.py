@@ -85,10 +85,10 @@ def section(results: Results) -> list[Part]:
 def rows(results: Results) -> list[Row]:
     """Sum up the runs of each film and variant, and of the shared recording; `results` by the jobs' keys."""
     found = []
-    for film in wand.films(False):
+    for film in wand.films(quick=False):
         of_film = [results[key] for seed in film.seeds if (key := wand.Job(film, seed).key) in results]
         found += [(film, v, [k for r in of_film for k in r["variants"].get(v.name, ())]) for v in film.variants]
-    film = wand.recording_film(False)
+    film = wand.recording_film(quick=False)
     for variant in film.variants:
         result = results.get(wand.recording_key(variant), {"variants": {}})
         found.append((film, variant, result["variants"].get(variant.name, ())))

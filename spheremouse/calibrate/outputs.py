@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _MARKS = {"good": ("✓", "green"), "note": ("i", "blue"), "warning": ("!", "yellow")}
 
 
-def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:
+def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], *, force: bool) -> None:
     """Refuse outputs that cannot be written, or that exist; `-` and None are no files.
 
     An output never replaces an input or another output, even with `force`.

@@ -64,7 +64,7 @@ class Replay(Streamed):
             self._steps += steps
             self._changed.notify()
 
-    def pause(self, paused: bool) -> None:
+    def set_paused(self, paused: bool) -> None:
         """Stop after the present frame, or go on."""
         with self._changed:
             self.paused, self._steps, self._shown_at = paused, 0, time.monotonic()

@@ -50,7 +50,7 @@ def bench(
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files.safe_files import write_json
 
-    check_outputs([json_file], [dataset], True)
+    check_outputs([json_file], [dataset], force=True)
     film = _simulated() if dataset is None else _recorded(dataset)
     with _one_thread(), progress_bar(auto_refresh=False) as bar:
         task = bar.add_task("stepping", total=steps)

@@ -66,7 +66,7 @@ def init(
     from spheremouse.files.safe_files import write_atomically
 
     try:
-        check_outputs([file], [], force)
+        check_outputs([file], [], force=force)
         write_atomically(file, config.dump_commented(root()(), None if everything else getattr(root(), "COMMON", None)))
     except SpheremouseError as e:
         _fail(e)

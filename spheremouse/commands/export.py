@@ -37,7 +37,7 @@ def export(
     from spheremouse.session.run_config import read_run_config
 
     sdk()
-    check_outputs([out], [recording, config, rig, camera, *(balls or ())], force)
+    check_outputs([out], [recording, config, rig, camera, *(balls or ())], force=force)
     options = {"rig": rig, "camera_file": camera, "wand.balls": balls}
     plan = read_run_config(of_recording(recording, config, assignments, options))
     with os_errors_as(ConfigurationError, f"{out}: cannot be written"):

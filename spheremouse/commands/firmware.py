@@ -56,7 +56,7 @@ def check(
     speed = BAUD if baud is None else validate_baud(baud, "--baud")
     if not port:
         raise OutputError("--port: is empty", "write a port's name, or auto")
-    check_outputs([json_file], [], force)
+    check_outputs([json_file], [], force=force)
     name = find_board() if port == "auto" else port
     output = Serial(lambda: name, speed, "none", lambda _: None)
     try:

@@ -60,7 +60,7 @@ def layout(
     with os_errors_as(ConfigurationError, f"{folder}: cannot be made", "name another with --out"):
         folder.mkdir(parents=True, exist_ok=True)
     guide, file = folder / "guide.html", folder / "layout.json"
-    check_outputs([guide, file], [], force)
+    check_outputs([guide, file], [], force=force)
     write_guide(guide, Layout(directions, radius, disc_radius, angle, seed))
     write_json(file, content)
     typer.echo(f"discs in view: at least {in_view}, from anywhere")

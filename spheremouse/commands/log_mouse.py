@@ -39,7 +39,7 @@ def log_mouse(
 
     if not sys.platform.startswith("linux"):
         raise SourceError("log-mouse: works on Linux alone, because it reads event devices")
-    check_outputs([out], [], force)
+    check_outputs([out], [], force=force)
     mouse, reports = choose(device, mice()), list[MouseReport]()
     with SignalHandler() as signals, Listener(mouse, grab) as listener:
         print(f"listening to {mouse}; move the ball, end with Ctrl-C", file=sys.stderr, flush=True)

@@ -47,7 +47,7 @@ def show(
     if output is not None and found.kind == DiscMap.kind:
         raise ConfigurationError(f"--output: {file} is a map of discs, and draws none", "leave --output out")
     if output is not None:
-        check_outputs([output], [file], True)
+        check_outputs([output], [file], force=True)
         write_picture(output, unfolded(found.fine, _WIDTH))
     table = (_disc_table if found.kind == DiscMap.kind else _pattern_table)(found)
     of = f"{found.text} on a ball of {saved.ball_radius:g} m"

@@ -49,7 +49,7 @@ def match(
     from spheremouse.evaluation.trackball import judge, settings_of
     from spheremouse.files.safe_files import write_atomically
 
-    check_outputs([out], [log, config, rig, camera], force)
+    check_outputs([out], [log, config, rig, camera], force=force)
     plan = _plan(recording, assignments or [], config, rig, camera)
     found, device = _matched(recording, plan, log)
     verdict, before = judge(found), plan.configuration.motion

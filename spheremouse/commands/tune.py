@@ -46,7 +46,7 @@ def tune(
     from spheremouse.session.tune import changed, tune
 
     seconds = _seconds(budget)
-    check_outputs([out], [recording, config_file], force)
+    check_outputs([out], [recording, config_file], force=force)
     settings = config.in_force(config_file, assignments or (), Configuration)
     with progress_bar() as progress:
         task = progress.add_task("tuning", total=trials)

@@ -219,20 +219,22 @@ def judge(match: Match) -> Verdict:
     still = [k for k in (0, 2) if match.rate[k] < _MIN_RATE]
     if match.r.min() < _MIN_R and not still:
         return Verdict(
-            False,
-            f"the log does not follow the ball ({r}): it is of another time or another mouse, or the trackball is "
+            usable=False,
+            text=f"the log does not follow the ball ({r}): it is of another time or another mouse, or the trackball is "
             "dirty; record both at once, for half a minute",
         )
     missing = still or [k for k in (0, 2) if not match.known[k]]
     if missing:
         return Verdict(
-            False,
-            f"too little motion about {' and '.join('XYZ'[k] for k in missing)} to estimate the scale: "
+            usable=False,
+            text=f"too little motion about {' and '.join('XYZ'[k] for k in missing)} to estimate the scale: "
             f"{' and '.join(_ADVICE[k] for k in missing)}, and record again",
         )
     if match.r.min() < _MIN_GOOD_R:
-        return Verdict(True, f"the two agree roughly ({r}): the trackball slips or loses reports", _notes(match))
-    return Verdict(True, f"the two agree ({r})", _notes(match))
+        agreement = f"the two agree roughly ({r}): the trackball slips or loses reports"
+    else:
+        agreement = f"the two agree ({r})"
+    return Verdict(usable=True, text=agreement, notes=_notes(match))
 
 
 def _notes(match: Match) -> tuple[str, ...]:

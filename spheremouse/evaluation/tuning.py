@@ -96,7 +96,7 @@ def compare(present: Array, other: Array, fps: float) -> Comparison:
     """Compare losses of the same frames, (n,) each. Significant: a gain of MIN_GAIN that chance does not explain."""
     size = max(1, round(BLOCK_S * fps))
     blocks = len(present) // size
-    found = Comparison(float(np.mean(present)), float(np.mean(other)), False)
+    found = Comparison(float(np.mean(present)), float(np.mean(other)), significant=False)
     if blocks < 3 or found.gain < MIN_GAIN:
         return found
     saved = (present - other)[: blocks * size].reshape(blocks, size).mean(axis=1)

@@ -86,7 +86,7 @@ def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseMode
     if first["type"] == "extra_forbidden":
         return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
     if first["type"] == "missing":
-        return _with_advice("missing", key, None, model, value=False)
+        return _with_advice("missing", key, data=None, model=model, value=False)
     return _with_advice(_complaint(first), key, data, model)
 
 

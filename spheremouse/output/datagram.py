@@ -16,7 +16,7 @@ class DatagramOutput(Output):
         self._name = name
         family, self._address = resolve(name, host, port, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
+        self._socket.setblocking(False)  # noqa: FBT003  the parameter has no name
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def datagrams(self, report: Report) -> list[bytes]:

@@ -45,7 +45,7 @@ class Server(Generic[ClientType]):
         """Serve a listening socket; `connect` returns the protocol of a new client."""
         self._connect, self._lock, self._listener = connect, threading.Lock(), listener
         self._clients: dict[socket.socket, ClientType] = {}
-        self._listener.setblocking(False)
+        self._listener.setblocking(False)  # noqa: FBT003  the parameter has no name
         self._stopping, self._stop = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
@@ -95,7 +95,7 @@ class Server(Generic[ClientType]):
         connection, _ = listener.accept()
         if len(self._clients) >= _MAX_CLIENTS:
             return connection.close()
-        connection.setblocking(False)
+        connection.setblocking(False)  # noqa: FBT003  the parameter has no name
         self._clients[connection] = client = self._connect()
         self._selector.register(connection, selectors.EVENT_READ, self._read)
         if client.ready:

@@ -79,7 +79,7 @@ class OutputThread:
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         start(self._thread)
 
-    def submit(self, report: Report, taken: float, wanted: bool = True) -> None:
+    def submit(self, report: Report, taken: float, *, wanted: bool = True) -> None:
         """Queue a frame's report, taken at a time (s, of the clock), without blocking.
 
         If it is not `wanted`, or during a pause, its counts become unsent.
@@ -100,7 +100,7 @@ class OutputThread:
             self._queue.append((_empty(now), submitted, True, submitted))
             self._wake_thread()
 
-    def pause(self, paused: bool) -> None:
+    def set_paused(self, paused: bool) -> None:
         """Start or end a pause, in which all submitted counts become unsent."""
         self._paused = paused
         self._wake_thread()
@@ -338,7 +338,7 @@ class OutputThread:
 
 def _empty(stamp: float) -> Report:
     """Return a report without motion."""
-    return Report(_NONE, None, stamp)
+    return Report(_NONE, rate=None, stamp=stamp)
 
 
 def _delivery(output: Output | None) -> DeliveryStatus:

@@ -236,7 +236,7 @@ def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | N
 def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
     from spheremouse.wand.axes import estimated_axes
 
-    return _vector(estimated_axes(estimate).angles.tolist(), True)
+    return _vector(estimated_axes(estimate).angles.tolist(), known=True)
 
 
 def to_quaternion(R: Array) -> list[float]:

@@ -100,7 +100,7 @@ def point(
     sigma = np.sqrt(np.diag(estimate.covariance)[part].clip(0.0))
     slack, passed = apply_backlash(state.slack, estimate.increment[part], settings.play * sigma)
     counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
-    return PointingState(True, slack, remainder), counts, rate
+    return PointingState(counting=True, slack=slack, remainder=remainder), counts, rate
 
 
 def pointing_rate(rate: Array, settings: PointingSettings) -> tuple[float, float, float]:

@@ -52,7 +52,7 @@ def initialise(
     once. Raises PoseError if the frames end before a pose was found.
     """
     if rig.pose is not None:
-        return Start(rig.pose, None, frames)
+        return Start(rig.pose, resection=None, frames=frames)
     if len(rig.targets.codes) < 3:
         raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
     said: str | None = None

@@ -32,10 +32,10 @@ class RunOutput:
     thread: OutputThread
     counter: OutputCounter
 
-    def submit(self, report: Report, taken: float, wanted: bool) -> Counts:
+    def submit(self, report: Report, taken: float, *, wanted: bool) -> Counts:
         """Submit a frame's report, and return this output's counts."""
         report = self.counter.apply(report)
-        self.thread.submit(report, taken, wanted)
+        self.thread.submit(report, taken, wanted=wanted)
         return report.counts
 
 
@@ -71,12 +71,12 @@ class Outputs:
         for thread in late or ():
             begin(thread)
 
-    def submit(self, report: Report, taken: float, wanted: bool) -> None:
+    def submit(self, report: Report, taken: float, *, wanted: bool) -> None:
         """Submit a frame's report, taken at a time (s, monotonic), to each output. Only the main one heeds `wanted`."""
         first, *others = self._all
-        counts = first.submit(report, taken, wanted)
+        counts = first.submit(report, taken, wanted=wanted)
         for output in others:
-            output.submit(report, taken, True)
+            output.submit(report, taken, wanted=True)
         self._submitted, self.counts = plus(self._submitted, counts), plus(self.counts, counts)
 
     def end_prediction(self, now: float) -> None:
@@ -84,11 +84,11 @@ class Outputs:
         for output in self._all:
             output.thread.end_prediction(now)
 
-    def pause(self, paused: bool) -> None:
+    def set_paused(self, paused: bool) -> None:
         """Begin or end a pause, in which nothing is sent."""
         self._paused = paused
         for output in self._all:
-            output.thread.pause(paused)
+            output.thread.set_paused(paused)
 
     def change(self, settings: PointerSettings) -> None:
         for output in self._all:
@@ -103,7 +103,7 @@ class Outputs:
         try:
             for spec in (s for s in specs if s not in kept):
                 made[spec] = self._output(spec, settings, len(specs) > 1, closed)
-                made[spec].thread.pause(self._paused)
+                made[spec].thread.set_paused(self._paused)
         except ControlError:
             closed.set_result(False)
             for output in made.values():

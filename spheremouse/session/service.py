@@ -231,7 +231,7 @@ class Daemon:
         report = report_of(samples, self.adapter.mapping, made.pointing)
         # if the output works again since the last update of the state, the next frame is the first one for it
         wanted = self._monitor.state is not State.FAILED_OUTPUT
-        self._outputs.submit(report, taken, wanted)
+        self._outputs.submit(report, taken, wanted=wanted)
         # These two need the frame's image, whose buffer is released soon, so they do not subscribe to reports.
         self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
@@ -405,19 +405,19 @@ class Daemon:
         if controls.end is not None and controls.end <= controls.begin:
             raise ControlError(f"replay: end: must be above begin, {controls.begin:g} s; 0 is the end of the recording")
         if request.step:
-            replay.pause(True)
+            replay.set_paused(True)
         replay.control(controls, steps=int(request.step), rewind=request.rewind)
 
     def _pause(self, paused: bool) -> None:
         if self._setup.replay is not None:
-            self._setup.replay.pause(paused)
+            self._setup.replay.set_paused(paused)
         else:
             self._monitor.paused = _PAUSED if paused else ""
             if paused:
-                self._outputs.pause(True)
+                self._outputs.set_paused(True)
         self._update_state(time.monotonic())
         if not paused:  # log the state before anything moves
-            self._outputs.pause(False)
+            self._outputs.set_paused(False)
 
     def _prepare(self, plan: RunConfig, changed: list[str]) -> Callable[[], bool]:
         """Prepare another plan for `ConfigReloader`."""

@@ -96,7 +96,7 @@ class Actions:
             return "Nothing was set that is not in the file."
         keyed = {tuple(key.split(".")): value for key, value in values_of(changes).items()}
         try:
-            save_settings(file, keyed, None)
+            save_settings(file, keyed, root=None)
         except ConfigurationError as e:
             raise ControlError(f"{e}", "while a recording plays, go back to the camera first") from None
         return f"{file}: saved {', '.join(changes)}"

@@ -58,7 +58,7 @@ class Daemon:
         self.count = 0  # samples since the start
         self._rows: deque[list[Any]] = deque(maxlen=_ROWS)
         self._storing = threading.Lock()
-        self._described = _Description([], None, {})
+        self._described = _Description(settings=[], scene=None, profiles={})
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
         self._setting = asyncio.Lock()  # one `set` is under way
         self._next_change = 0.0  # s, monotonic
@@ -68,9 +68,9 @@ class Daemon:
         self._wanted, self._closed = threading.Event(), False
         threading.Thread(target=self._run, name="daemon", daemon=True).start()
 
-    def look(self, wanted: bool) -> None:
-        """Open or close the connection."""
-        self._wanted.set() if wanted else self._wanted.clear()
+    def set_watched(self, watched: bool) -> None:
+        """Open the connection if somebody watches, else close it."""
+        self._wanted.set() if watched else self._wanted.clear()
 
     def close(self) -> None:
         """Close the connection for good."""

@@ -101,7 +101,7 @@ class Page:
         self.browsers.add(browser)
         if self._leaving is not None:
             self._leaving.cancel()
-        self.daemon.look(True)
+        self.daemon.set_watched(True)
         try:
             await browser.converse()
         finally:
@@ -113,7 +113,7 @@ class Page:
         await asyncio.sleep(_LINGER)
         if not self.browsers:
             self.actions.recordings.end()
-            self.daemon.look(False)
+            self.daemon.set_watched(False)
             await self.guide.stop(LOOK)
 
     def _publish(self, message: dict[str, Any]) -> None:
@@ -186,7 +186,7 @@ class _Browser:
         except ValidationError as e:
             error = e.errors(include_url=False, include_input=False)[-1]
             text = f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}"
-            self._answer("trouble", None, text=printable(text))
+            self._answer("trouble", id_=None, text=printable(text))
             return
         if isinstance(message, _Pace):
             if message.type == "rest" and self._frame is not None:

@@ -62,7 +62,7 @@ def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
                     continue
                 rows.append((u, along, inside, disc.angle, c))
     for u in _spiral(_BARE_CANDIDATES):
-        if not _within(u, ball, 1.5 * _OUTER_DISTANCE, None):
+        if not _within(u, ball, 1.5 * _OUTER_DISTANCE, colour=None):
             rows.append((u, tangent_basis(u)[:, 0], -1.0, 1.0, -1))
     table, last = [], None
     for u, t, inside, angle, c in rows:

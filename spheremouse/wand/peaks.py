@@ -50,7 +50,7 @@ class Scene:
     def all(self) -> Fields:
         """Return the fields of the whole picture."""
         if self.whole is None:
-            self.whole = self.part(None, 1)
+            self.whole = self.part(region=None, factor=1)
         return self.whole
 
     def part(self, region: Region | None, factor: int) -> Fields:

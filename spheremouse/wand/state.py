@@ -46,6 +46,11 @@ class WandPose:
     effective: float = 0.0  # effective number of particles before resampling
     seen: bool = False  # measured in this frame, not only predicted
 
+    @classmethod
+    def unknown(cls, name: str, phase: Status, event: Event | None, match: float = 0.0) -> "WandPose":
+        """Return the result of a frame in which nothing determines the pose."""
+        return cls(name, position=None, rotation=None, covariance=None, phase=phase, event=event, match=match)
+
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPose:

@@ -199,7 +199,7 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
     least = MIN_EVIDENCE_ELSEWHERE * track.evidence * decay if track.evidence else 0.0
     if not is_ball(modes, s) or modes.log_likelihood[0] < least:
         match = float(modes.match[0]) if modes.peaks else 0.0
-        missing = WandPose(ball.name, None, None, None, track.phase, missing_ball(ball, track.seen), match)
+        missing = WandPose.unknown(ball.name, track.phase, missing_ball(ball, track.seen), match)
         return replace(track, stamp=stamp), missing
     peaks = proposals(modes)
     weight, _ = normalise(peaks.log_mass)
@@ -238,7 +238,7 @@ class _Average:
 
 def _measured_pose(average: _Average, modes: Modes, context: SearchContext, event: Event | None) -> WandPose:
     match = float(modes.match[0])
-    return WandPose(context.ball.name, *average.pose, Status.TRACKING, event, match, average.effective, True)
+    return WandPose(context.ball.name, *average.pose, Status.TRACKING, event, match, average.effective, seen=True)
 
 
 def _filter(
@@ -344,7 +344,7 @@ def _predict_hidden(
     match = float(modes.match[0]) if modes.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(Status.LOST, stamp=stamp, seen=track.seen, evidence=track.evidence)
-        return lost, WandPose(ball.name, None, None, None, Status.LOST, missing_ball(ball, track.seen), match)
+        return lost, WandPose.unknown(ball.name, Status.LOST, missing_ball(ball, track.seen), match)
     walk = MotionMixture(
         shift=np.zeros((1, 6)), covariance=random_walk_covariance(dt, s)[None], probability=np.ones(1), birth=0.0
     )

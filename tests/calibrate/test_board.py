@@ -74,19 +74,19 @@ def cabinet(tmp_path):
 def test_no_output_destroys_an_input_or_another_output(cabinet, outputs, words, force):
     inputs = [cabinet / "device", cabinet / "device.yaml", cabinet / "camera.yaml", None]
     with pytest.raises(CalibrationError, match=words):
-        check_outputs([cabinet / name for name in outputs], inputs, force)
+        check_outputs([cabinet / name for name in outputs], inputs, force=force)
 
 
 def test_what_is_there_is_replaced_with_force_only(cabinet):
     with pytest.raises(CalibrationError, match=r"old\.yaml: there already.*--force"):
-        check_outputs([cabinet / "old.yaml"], [], False)
-    check_outputs([cabinet / "old.yaml", cabinet / "new.yaml", Path("-"), None], [cabinet / "device"], True)
+        check_outputs([cabinet / "old.yaml"], [], force=False)
+    check_outputs([cabinet / "old.yaml", cabinet / "new.yaml", Path("-"), None], [cabinet / "device"], force=True)
 
 
 def test_folder_that_may_not_be_written_is_refused_beforehand(cabinet, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
     with pytest.raises(CalibrationError, match="may not be written"):
-        check_outputs([cabinet / "rig.yaml"], [], False)
+        check_outputs([cabinet / "rig.yaml"], [], force=False)
 
 
 def test_commands_survive_a_shell():

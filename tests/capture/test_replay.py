@@ -86,13 +86,13 @@ def test_an_empty_section_plays_the_whole_recording(replay):
 def test_a_pause_holds_a_step_gives_one_frame_and_rewinding_goes_back(replay):
     replay.control(FAST)
     played(replay, 3)
-    replay.pause(True)
+    replay.set_paused(True)
     assert replay.next(3 * STEP) is None
     replay.control(FAST, steps=1)
     assert played(replay, 1) == [3]
     assert replay.next(3 * STEP) is None
     replay.control(FAST, rewind=True)
-    replay.pause(False)
+    replay.set_paused(False)
     assert [replay.next(0.0), *played(replay, 2)] == [None, 0, 1]
 
 
@@ -101,7 +101,7 @@ def test_without_loop_it_pauses_at_the_end_and_begins_again_when_it_goes_on(repl
     assert played(replay, COUNT) == [*range(COUNT)]
     assert replay.next(3 * STEP) is None
     assert replay.paused
-    replay.pause(False)
+    replay.set_paused(False)
     assert played(replay, 1) == [0]
 
 

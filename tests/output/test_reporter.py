@@ -83,7 +83,7 @@ class WandSource:
         stamp, turn, turning = float(self.frames), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)
         given = report(*counts, stamp=stamp, rotation=turn, rate=turning, counts_rate=rate, confirmed=tracking)
         self.sum += counts
-        self._reporter.submit(given, time.monotonic() if taken is None else taken, wanted)
+        self._reporter.submit(given, time.monotonic() if taken is None else taken, wanted=wanted)
 
 
 @pytest.fixture(autouse=True)
@@ -193,10 +193,10 @@ def test_while_paused_nothing_is_sent(start):
     reporter, given = start(world)
     given(1, 1, 1)
     until(lambda: world.sum == (1, 1, 1))
-    reporter.pause(True)
+    reporter.set_paused(True)
     for _ in range(10):
         given(7, 0, -7)
-    reporter.pause(False)  # maybe before the thread has seen any of them
+    reporter.set_paused(False)  # maybe before the thread has seen any of them
     given(5, 0, 0, wanted=False)
     given(2, 2, 2)
     until(lambda: world.sum == (3, 3, 3))
@@ -232,7 +232,7 @@ def test_a_pause_ends_the_prediction(start):
     given(0, 0, 0, taken=now - 1.0)
     given(100_000, 0, 0, rate=(1e5, 0.0, 0.0), taken=now)
     until(lambda: len(world.reports) >= 2)
-    reporter.pause(True)
+    reporter.set_paused(True)
     until(lambda: even(reporter, given) and reporter.status().ahead == (0, 0, 0))
     sent = len(world.reports)
     time.sleep(0.05)
@@ -345,10 +345,10 @@ def test_the_ledger_stays_even_whatever_happens(start):
         world.broken = OutputError("gone") if rng.random() < 0.1 else None
         world.missing = OutputError("missing") if rng.random() < 0.1 else None
         if rng.random() < 0.05:
-            reporter.pause(bool(rng.random() < 0.5))
+            reporter.set_paused(bool(rng.random() < 0.5))
         time.sleep(float(rng.uniform(0.0, 0.004)))
     world.broken = world.missing = None
-    reporter.pause(False)
+    reporter.set_paused(False)
     until(lambda: even(reporter, given) and tuple(world.sum) == reporter.status().sent)
     assert world.said
 

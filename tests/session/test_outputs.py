@@ -183,12 +183,12 @@ def test_where_a_thread_is_missing_those_before_stay_and_no_other_is_opened(run,
 
 def test_paused_nothing_is_sent_by_those_to_come_either(run):
     made = run("a")
-    made.outputs.pause(True)
+    made.outputs.set_paused(True)
     (after,) = made.next("b")
     until(lambda: len(made.diary) == 3)
     made.give(5, 0, 0)
     until(lambda: made.outputs.status()[0][1].unsent == (5, 0, 0))
-    made.outputs.pause(False)
+    made.outputs.set_paused(False)
     made.give(1, 0, 0)
     until(lambda: np.array_equal(after.counts, (1, 0, 0)))
 

@@ -67,6 +67,6 @@ def _without_contained(
     """Return the largest of the contours that contain each other's centroid: the same blob in several masks."""
     unique: list[tuple[float, tuple[float, float], Image]] = []
     for blob in sorted(blobs, key=lambda b: -b[0]):
-        if all(cv2.pointPolygonTest(other[2], blob[1], False) < 0 for other in unique):
+        if all(cv2.pointPolygonTest(other[2], blob[1], measureDist=False) < 0 for other in unique):
             unique.append(blob)
     return unique

@@ -119,7 +119,7 @@ class PictureMap:
         """Compare with another picture, whose directions are about those of this one @ rotation.T, (3, 3)."""
         rough = _aligned(_samples(self.coarse, _SAMPLES[1]), other.coarse, rotation.T, self.noise)
         if not rough.correlation > LEAST_CORRELATION:
-            return PictureComparison(rotation, rough.correlation, False)
+            return PictureComparison(rotation, rough.correlation, same_ball=False)
         found = _aligned(_samples(self.fine, _SAMPLES[0]), other.fine, rough.attitude, self.noise)
         return PictureComparison(found.attitude.T, found.correlation, fits(found))
 

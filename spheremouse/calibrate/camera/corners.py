@@ -258,8 +258,8 @@ def _find_charuco(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
     index = np.empty(0, np.intp) if ids is None else np.ravel(np.asarray(ids)).astype(np.intp)
     sides = [len(np.unique(k)) for k in (index % pattern.columns, index // pattern.columns)]
     if len(index) < _MIN_CHARUCO_CORNERS or min(sides) < 3:
-        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n)
-    return Sighting(index, np.asarray(corners, float).reshape(-1, 2), None, n)
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), markers=n)
+    return Sighting(index, np.asarray(corners, float).reshape(-1, 2), markers=n)
 
 
 @cache

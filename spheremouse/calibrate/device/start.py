@@ -202,7 +202,7 @@ def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -
     )
     sure = replace(camera, covariance=np.zeros((9, 9)))
     # the size of the rings gives a scale to begin with
-    problem = Problem(replace(device, distances=()), sure, rough, False, views.depth)
+    problem = Problem(replace(device, distances=()), sure, rough, scale_free=False, depth=views.depth)
     try:
         block = solve_block(problem, block, robust=2.0).block
     except np.linalg.LinAlgError:

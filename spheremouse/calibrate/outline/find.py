@@ -177,7 +177,7 @@ def _ransac(moving: Image, camera: InteriorOrientation) -> Outline:
     score = np.count_nonzero(fits, axis=1) * contained * filled
     if not score.any():
         raise _no_ball()
-    return _robust(rays[fits[np.argmax(score)]], None)
+    return _robust(rays[fits[np.argmax(score)]], start=None)
 
 
 def _robust(rays: Array, start: Outline | None) -> Outline:

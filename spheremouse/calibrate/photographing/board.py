@@ -55,7 +55,7 @@ class BoardSelector(Selector[Sighting]):
         """True for all regions, all tilts, and enough views."""
         return enough(self.coverage)
 
-    def detect(self, picture: Image, quick: bool) -> Sighting:
+    def detect(self, picture: Image, *, quick: bool) -> Sighting:
         """Find the board in a picture, of reduced size if `quick`."""
         return find_board(picture, self.pattern, _QUICK_SEARCH if quick else SEARCHED)
 

@@ -49,7 +49,7 @@ class DeviceSelector(Selector[TargetDetections]):
         least = max(DEVICE_ENOUGH, self._resumed + _MIN_ADDED if self._resumed else 0)
         return self.count >= DEVICE_MOST or (self.count >= least and not self._missing_sides())
 
-    def detect(self, picture: Image, quick: bool) -> TargetDetections:
+    def detect(self, picture: Image, *, quick: bool) -> TargetDetections:
         """Detect the targets; `quick` changes nothing. Raises CalibrationError if the picture is grey."""
         if picture.ndim == 2:
             raise CalibrationError("the camera gives grey pictures, but the targets differ only in colour")

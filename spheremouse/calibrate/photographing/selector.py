@@ -58,7 +58,7 @@ class Selector(ABC, Generic[S]):
         """Describe the progress in lines."""
 
     @abstractmethod
-    def detect(self, picture: Image, quick: bool) -> S:
+    def detect(self, picture: Image, *, quick: bool) -> S:
         """Detect the subject, on request quickly; (h, w, 3) BGR."""
 
     @abstractmethod
@@ -83,7 +83,7 @@ class Selector(ABC, Generic[S]):
 
     def check(self, picture: Image) -> FrameCheck[S]:
         """Check the next frame of a camera."""
-        seen = self.detect(picture, True)
+        seen = self.detect(picture, quick=True)
         motion = self._motion(*self.points(seen))
         if fault := self.fault(seen):
             dark = float(np.percentile(picture[::8, ::8], 99.0)) < _DARK
@@ -95,13 +95,13 @@ class Selector(ABC, Generic[S]):
         new, known = self.gain(seen)
         if not new:
             return FrameCheck(seen, f"{words}; {known}")
-        seen = self.detect(picture, False)  # as the calibration does
+        seen = self.detect(picture, quick=False)  # as the calibration does
         hindrance = self.fault(seen) or self._blur(picture, self.points(seen)[1])
         return FrameCheck(seen, f"{words}; {hindrance}", "") if hindrance else FrameCheck(seen, words, new)
 
     def resume(self, read: Callable[[], Image]) -> bool:
         """Count an existing photo; return False if it shows nothing of use."""
-        seen = self.detect(read(), False)
+        seen = self.detect(read(), quick=False)
         if self.fault(seen):
             return False
         self.add(seen)

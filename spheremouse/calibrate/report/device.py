@@ -227,7 +227,7 @@ def photo_picture(c: DeviceCalibration, photo: int, image: NDArray[np.uint8]) ->
     grey = cv2.cvtColor(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     canvas = np.asarray(cv2.addWeighted(small, 0.55, grey, 0.25, 0.0), np.uint8)
     outline = sphere_outline(c.poses[photo].to_cam(np.zeros(3)), c.radius, c.camera)
-    cv2.polylines(canvas, [np.rint(scale * outline).astype(np.int32)], True, _LINE, 1, cv2.LINE_AA)
+    cv2.polylines(canvas, [np.rint(scale * outline).astype(np.int32)], isClosed=True, color=_LINE, lineType=cv2.LINE_AA)
     times = arrow_scale(c, width)
     for i in np.flatnonzero(m.photo == photo):
         at = _pixel(scale * m.centre[i])

@@ -109,7 +109,7 @@ def solve(
     for _ in range(3):
         before = rolled.rolling
         try:
-            rolled, tracked, better = adjusted(rig, before, None)
+            rolled, tracked, better = adjusted(rig, before, seconds=None)
         except CalibrationError as e:
             if given is None:
                 raise

@@ -195,14 +195,14 @@ def _scaled(rolled: RollingAdjustment, found: Axes, source: str, axes: AxesFrom,
         by_targets = ball
         pose, ball = place_camera(rolled, found, radius, sigma)
         if axes.rig.scale_free:
-            return _Scaled(pose, ball, *rescale_targets(targets, by_targets, ball), False)
+            return _Scaled(pose, ball, *rescale_targets(targets, by_targets, ball), free=False)
         check_radius(given, by_targets)
-        return _Scaled(pose, ball, targets, None, False)
+        return _Scaled(pose, ball, targets, cross=None, free=False)
     pose, ball = place_camera(rolled, found, radius, sigma)
     if source == "device" and given is not None:
         assert axes.device is not None
-        return _Scaled(pose, ball, *place_targets(found, axes.device, rolled, radius, sigma), False)
-    return _Scaled(pose, ball, NO_TARGETS, None, given is None)
+        return _Scaled(pose, ball, *place_targets(found, axes.device, rolled, radius, sigma), free=False)
+    return _Scaled(pose, ball, NO_TARGETS, cross=None, free=given is None)
 
 
 # ---- places with their joint covariances ----

@@ -75,7 +75,7 @@ def axes(
             with opener(plan)():
                 pass
         dialogue = Dialogue(plan.configuration, stopping, live)
-        failure, _ = (serve if live else follow)(overrides, plan, setup, stopping, dialogue, None)
+        failure, _ = (serve if live else follow)(overrides, plan, setup, stopping, dialogue, frames=None)
     if dialogue.found is None and failure is not None:
         raise failure
     values = dialogue.conclusion()

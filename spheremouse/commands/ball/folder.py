@@ -30,7 +30,7 @@ def check_folder(folder: Path, inputs: Iterable[Path | None], force: bool) -> No
     """Raise CalibrationError if the files of the folder may not be written."""
     if folder.is_dir():
         names = (RIG_FILE, CAMERA_FILE, CONFIG_FILE, PICTURE)
-        check_outputs([folder / name for name in names], inputs, force)
+        check_outputs([folder / name for name in names], inputs, force=force)
     elif folder.exists():
         raise CalibrationError(f"{folder}: is a file; name a folder")
 
@@ -58,7 +58,7 @@ def drawn(image: Image, outline: Array, marks: Iterable[Array], masks: Sequence[
     canvas = canvas_of(image, scale)
     for lines, colour in (([np.reshape(mask, (-1, 2)) for mask in masks], BLUE), ([outline], GREEN)):
         fixed = [np.rint(((line + 0.5) * scale - 0.5) * 16.0).astype(np.int32) for line in lines]
-        cv2.polylines(canvas, fixed, True, colour, 1, cv2.LINE_AA, 4)
+        cv2.polylines(canvas, fixed, isClosed=True, color=colour, lineType=cv2.LINE_AA, shift=4)
     for mark in marks:
         x, y = np.rint((mark + 0.5) * scale - 0.5).astype(int).tolist()
         cv2.drawMarker(canvas, (x, y), RED, cv2.MARKER_CROSS, 7)

@@ -58,7 +58,7 @@ def camera(
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
     page, json_file = report or out.with_suffix(".html"), json_file or out.with_suffix(".json")
-    check_outputs([out, page, json_file], photos, force)
+    check_outputs([out, page, json_file], photos, force=force)
     if square is None:
         note(f"the board, from its board.yaml: {' '.join(pattern.options)}")
     found = read_photos(photos, note)

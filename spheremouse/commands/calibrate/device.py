@@ -67,7 +67,7 @@ def device(
 
     page, the_map = report or out.with_suffix(".html"), map_path(out)
     json_file = json_file or out.with_suffix(".json")
-    check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
+    check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force=force)
     _check_inputs(device_file, camera_file)
     known, camera = load_device(device_file), load_camera(camera_file)
     if untouched(device_file):

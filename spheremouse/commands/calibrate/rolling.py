@@ -84,7 +84,7 @@ def rolling(
     argument = source.partition(":")[2]
     json_file = json_file or (None if out is None else out.with_suffix(".json"))
     inputs = [camera, device, rig, Path(argument) if argument else None]
-    check_outputs([out, None if out is None else map_path(out), json_file], inputs, force)
+    check_outputs([out, None if out is None else map_path(out), json_file], inputs, force=force)
     interior = None if camera is None else load_camera(camera)
     known = None if rig is None else load_rig(rig)
     targets = None if device is None else load_device(device)

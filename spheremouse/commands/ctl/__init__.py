@@ -49,26 +49,26 @@ def status(as_json: _Json = False, socket: Socket = None) -> None:
 @app.command()
 def reinit(as_json: _Json = False, socket: Socket = None) -> None:
     """Estimate a new camera pose, or search for the balls in a hand again. The pointer does not jump."""
-    _report(_ask(socket, "reinit"), as_json, "searched again")
+    _report(_ask(socket, "reinit"), "searched again", as_json=as_json)
 
 
 @app.command()
 def pause(as_json: _Json = False, socket: Socket = None) -> None:
     """Stop moving the pointer; tracking goes on."""
-    _report(_ask(socket, "pause"), as_json, "paused; go on with: spheremouse ctl resume")
+    _report(_ask(socket, "pause"), "paused; go on with: spheremouse ctl resume", as_json=as_json)
 
 
 @app.command()
 def resume(as_json: _Json = False, socket: Socket = None) -> None:
     """Move the pointer again after a pause."""
     reply = _ask(socket, "resume")
-    _report(reply, as_json, f"resumed: {reply['state']}" if reply.get("state") else "resumed")
+    _report(reply, f"resumed: {reply['state']}" if reply.get("state") else "resumed", as_json=as_json)
 
 
 @app.command()
 def reload(as_json: _Json = False, socket: Socket = None) -> None:
     """Read the configuration and the rig file again. If one has an error, the daemon keeps its settings."""
-    _report(_ask(socket, "reload"), as_json, "reloaded")
+    _report(_ask(socket, "reload"), "reloaded", as_json=as_json)
 
 
 @app.command("set", epilog="Example: spheremouse ctl set motion.scale_x=2 --save")
@@ -88,13 +88,13 @@ def set_(
     place = _file_to_write(socket, config, assignments) if keep else None
     reply = _ask(socket, "set", assignments=assignments)
     if not as_json:
-        _report(reply, False, "set")
+        _report(reply, "set")
     if keep:
         keys = [key_of(assignment) for assignment in assignments]
         saved = _ask(socket, "save", keys=keys) if place is None else _write(*place)
         reply |= saved
         if not as_json:
-            _report(saved, False, _saved_words(saved), "file")
+            _report(saved, _saved_words(saved), "file")
     if as_json:
         _print_json(reply)
 
@@ -151,7 +151,7 @@ def _set_all(socket: Path | None, values: dict[str, Any], as_json: bool) -> None
         typer.echo("nothing differs")
         return
     assignments = [f"{key}={json.dumps(value)}" for key, value in values.items()]
-    _report(_ask(socket, "set", assignments=assignments), as_json, "set")
+    _report(_ask(socket, "set", assignments=assignments), "set", as_json=as_json)
 
 
 @app.command(epilog="Example: spheremouse ctl profile doom")
@@ -166,7 +166,7 @@ def profile(
     """
     reply = _ask(socket, "profile", name=name)
     if as_json or name is not None:
-        _report(reply, as_json, f"profile {name}")
+        _report(reply, f"profile {name}", as_json=as_json)
         return
     profiles = reply.get("profiles")
     if isinstance(profiles, dict) and profiles:
@@ -191,7 +191,7 @@ def save(
     """
     place = None if forget else _file_to_write(socket, config)
     saved = _ask(socket, "save", forget=forget or None) if place is None else _write(*place)
-    _report(saved, as_json, _saved_words(saved), "file")
+    _report(saved, _saved_words(saved), "file", as_json=as_json)
 
 
 def _file_to_write(
@@ -240,10 +240,10 @@ def record(
     if stop:
         if name is not None or seconds is not None or everything:
             raise typer.BadParameter("--stop goes alone")
-        _report(_ask(socket, "record", stop=True), as_json, "the recording has ended")
+        _report(_ask(socket, "record", stop=True), "the recording has ended", as_json=as_json)
         return
     reply = _ask(socket, "record", folder=name, seconds=seconds, everything=everything or None)
-    _report(reply, as_json, "recording; end it with: spheremouse ctl record --stop", "folder")
+    _report(reply, "recording; end it with: spheremouse ctl record --stop", "folder", as_json=as_json)
 
 
 @app.command()
@@ -258,7 +258,7 @@ def snapshot(
     socket: Socket = None,
 ) -> None:
     """Write the present picture to a file, with the results; while targets are searched, with the rejected ones."""
-    _report(_ask(socket, "snapshot", file=name, everything=everything or None), as_json, "written", "file")
+    _report(_ask(socket, "snapshot", file=name, everything=everything or None), "written", "file", as_json=as_json)
 
 
 @app.command(epilog="Example: spheremouse ctl replay --speed 0.25 --begin 2 --end 4")
@@ -280,7 +280,7 @@ def replay(
 ) -> None:
     """Control a recording that `run --replay` plays. `pause` stops it."""
     given = {"speed": speed, "loop": loop, "begin": begin, "end": end, "step": step or None, "rewind": rewind or None}
-    _report(_ask(socket, "replay", **given), as_json, "done")
+    _report(_ask(socket, "replay", **given), "done", as_json=as_json)
 
 
 @app.command(epilog="Example: spheremouse ctl watch --interval 5")
@@ -323,7 +323,7 @@ def _print_samples(socket: Path | None) -> None:
 @app.command()
 def stop(as_json: _Json = False, socket: Socket = None) -> None:
     """End the daemon. Stop a service with systemctl instead."""
-    _report(_ask(socket, "stop"), as_json, "the daemon ends")
+    _report(_ask(socket, "stop"), "the daemon ends", as_json=as_json)
 
 
 def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
@@ -348,7 +348,7 @@ def _fail(error: ControlError) -> NoReturn:
     raise typer.Exit(NO_DAEMON if isinstance(error, NoDaemonError) else REFUSED)
 
 
-def _report(reply: dict[str, Any], as_json: bool, words: str, place: str | None = None) -> None:
+def _report(reply: dict[str, Any], words: str, place: str | None = None, *, as_json: bool = False) -> None:
     """Print the daemon's message, else our words with the path that it wrote."""
     if as_json:
         _print_json(reply)

@@ -68,14 +68,14 @@ def play(out: Path, seconds: float, seed: int) -> None:
     overrides = CommandLineOverrides(assignments=settings, no_map=True)
     with ExitStack() as stack:
         stopping = stack.enter_context(SignalHandler())
-        view = _View(stack, True, out / "overlay.mp4", film.simulation.fps)
+        view = _View(stack, out / "overlay.mp4", film.simulation.fps, status=True)
         view.log(
             f"A simulated camera (640x480, {film.simulation.fps:g} Hz, noise {_NOISE:g}) films a ball with "
             f"{len(film.simulation.scene.disc_directions)} discs,\nand bolts that look like discs. "
             "The tracker gets the pictures and the rig, nothing else."
         )
         setup = Setup(Stream(iter(film), rig=film.simulation.scene.rig(), fps=film.simulation.fps))
-        failure, _ = follow(overrides, read_run_config(overrides), setup, stopping, view, None)
+        failure, _ = follow(overrides, read_run_config(overrides), setup, stopping, view, frames=None)
     if failure is not None:
         raise failure
     if view.adapter is None:
@@ -99,8 +99,8 @@ def _compare(film: "_Film", view: "_View", adapter: BallAdapter, out: Path) -> N
 class _View(RunView):
     """Also keeps the history of the run."""
 
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
         self.history = History()
         self.adapter: BallAdapter | None = None
 

@@ -50,7 +50,7 @@ def doctor(
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     options = {"tracker": tracker, "source": source, "output": output}
     options |= {"rig": rig, "camera_file": camera, "wand.balls": balls}
-    overrides = CommandLineOverrides(config, settings_given(None, config, options))
+    overrides = CommandLineOverrides(config, settings_given([], config, options))
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as progress:

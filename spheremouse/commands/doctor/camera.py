@@ -180,11 +180,11 @@ def film(plan: RunConfig, seconds: float, node: Path | None, source: Source | No
             from spheremouse.capture.v4l2 import open_camera
 
             camera = stack.enter_context(open_camera(argument, plan.configuration.camera))
-            footage = _footage(_raw_frames(camera), seconds, True, camera.fps)
+            footage = _footage(_raw_frames(camera), seconds, camera.fps, live=True)
             footage = replace(footage, stamped=True, notes=footage.notes + camera.notes, description=camera.describe())
         else:
             source = stack.enter_context(source or open_source(plan.source))
-            footage = _footage(map(Fetched, source), seconds, source.live, source.fps)
+            footage = _footage(map(Fetched, source), seconds, source.fps, live=source.live)
             footage = replace(footage, description=plan.source, rig=source.rig)
         if len(footage.stamps) == 0:
             what = f"nothing but {footage.damaged} damaged frames" if footage.damaged else "no frame"
@@ -201,7 +201,7 @@ def _raw_frames(camera: Camera) -> Iterator[RawFrame]:
         raise SourceError(f"the frames stopped for {_SILENT_TIMEOUT_S:g} s")
 
 
-def _footage(raws: Iterable[RawFrame], seconds: float, live: bool, fps: float | None) -> Footage:
+def _footage(raws: Iterable[RawFrame], seconds: float, fps: float | None, *, live: bool) -> Footage:
     """Collect frames: of a live source by the clock, after it has settled, of a recording by the stamps."""
     step = max(1, round((fps or 30.0) * seconds / _VIEWS))
     times: list[tuple[float, float, int]] = []
@@ -232,7 +232,18 @@ def _footage(raws: Iterable[RawFrame], seconds: float, live: bool, fps: float | 
         notes = (str(e),)
     stamps, arrivals, sequence = np.array(times, dtype=float).reshape(-1, 3).T
     return Footage(
-        stamps, arrivals, sequence.astype(int), tuple(views), fps, live, False, damaged, notes, "", None, None
+        stamps,
+        arrivals,
+        sequence.astype(int),
+        tuple(views),
+        fps,
+        live,
+        stamped=False,
+        damaged=damaged,
+        notes=notes,
+        description="",
+        rig=None,
+        controls=None,
     )
 
 

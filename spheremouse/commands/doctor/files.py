@@ -59,7 +59,7 @@ def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig
     attempts = [
         replace(overrides, assignments=given),
         replace(overrides, assignments=(*given, "rig=null", "camera_file=null"), no_map=True),
-        CommandLineOverrides(None, tuple(a for a in given if config.key_of(a) in ("source", "output"))),
+        CommandLineOverrides(assignments=tuple(a for a in given if config.key_of(a) in ("source", "output"))),
     ]
     plan: RunConfig | None = None
     for attempt in attempts:

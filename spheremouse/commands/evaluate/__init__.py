@@ -64,7 +64,7 @@ def evaluate(*, options: Options) -> None:
     if o.plot_file is not None and len(o.datasets) > 1:
         raise ConfigurationError("--plot: draws one dataset; name one at a time")
     inputs = [o.config_file, o.rig_file, o.camera_file, o.map_file, *(o.balls or ())]
-    check_outputs([o.json_file, o.plot_file], inputs, True)
+    check_outputs([o.json_file, o.plot_file], inputs, force=True)
     of_wand = o.tracker == "wand" or (o.tracker is None and all(is_wand(path) for path in o.datasets))
     if of_wand:
         others = {"--detector": o.detector, "--rig": o.rig_file, "--map": o.map_file, "--plot": o.plot_file}

@@ -157,5 +157,5 @@ def _analyse(frame: Frame, radii: Array, codes: tuple[str, ...] | None, settings
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel())) / np.sqrt(2.0)
     dark = projected(image, settings.discs.projection or GREY)
-    light = brightness([grey], None, settings.discs, noise)
+    light = brightness([grey], mask=None, settings=settings.discs, noise=noise)
     return Analysis(frame, sight_of(image, radii, codes, settings.rings), dark_spots(dark), blur_of(grey), light)

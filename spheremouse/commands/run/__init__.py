@@ -160,7 +160,8 @@ def run_plan(
             stopping = stack.enter_context(SignalHandler())
             setup = open_replay(plan) if pace == "replay" else open_setup(plan, pace == "realtime")
             plan = setup.planned(plan)
-            shown = RunView(stack, status, overlay, None if setup.source is None else setup.source.fps, verbose)
+            fps = None if setup.source is None else setup.source.fps
+            shown = RunView(stack, overlay, fps, status=status, verbose=verbose)
             try:
                 work = serve if live else partial(follow, smooth=smooth)
                 failure, words = work(overrides, plan, setup, stopping, shown, frames)

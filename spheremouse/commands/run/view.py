@@ -24,15 +24,15 @@ class RunView:
     """Shows the balls of a run on the terminal, and draws them into a file."""
 
     def __init__(
-        self, stack: ExitStack, wanted: bool, overlay: Path | None, fps: float | None, verbose: bool = False
+        self, stack: ExitStack, overlay: Path | None, fps: float | None, *, status: bool, verbose: bool = False
     ) -> None:
-        """Show a line if it is `wanted`, and write an `overlay` with the frame rate `fps`; `stack` closes both.
+        """Show a `status` line, and write an `overlay` with the frame rate `fps`; `stack` closes both.
 
         `verbose` prints all details of the camera's pose.
         """
         self.tally, self._verbose = Tally(), verbose
         self.overlay = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
-        self._screen = stack.enter_context(StatusLine(wanted))
+        self._screen = stack.enter_context(StatusLine(status))
         self._drawing: Overlay | None = None
 
     def log(self, text: str) -> None:

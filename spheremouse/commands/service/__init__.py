@@ -124,7 +124,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
     place = _place(root, user)
     findings = [check_files(place)]
     if place.root == _ROOT:
-        findings += [check_state(place), *([] if user else [check_user(None)])]
+        findings += [check_state(place), *([] if user else [check_user(node=None)])]
     show(Section("service", tuple(findings)), Console(highlight=False, soft_wrap=False))
     if any(f.verdict in (Verdict.WARNING, Verdict.WRONG) for f in findings):
         raise typer.Exit(1)

@@ -95,8 +95,8 @@ def colours(
     if check and out is not None:
         raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
     show = _shown_at(picture, show)
-    check_outputs([out], [picture, wand], force)
-    check_outputs([show], [picture, wand, out], force or show.name.endswith(_OVERLAY))
+    check_outputs([out], [picture, wand], force=force)
+    check_outputs([show], [picture, wand, out], force=force or show.name.endswith(_OVERLAY))
     image = read_picture(picture)
     circle = None if at is None else Circle(*_circle(at))
     if check:

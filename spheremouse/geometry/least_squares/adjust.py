@@ -144,7 +144,7 @@ def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None) -> Adjust
     """
     x = np.array(x0, dtype=float)
     if robust is None:
-        x = _weighted(evaluate, x, None)
+        x = _weighted(evaluate, x, weight=None)
         return Adjusted(x, *evaluate(x))
     found, weight = Adjusted(x, *evaluate(x)), np.zeros(0)
     for _ in range(_MAX_REWEIGHTINGS):

@@ -92,7 +92,7 @@ class ControlServer:
         self._reports: deque[Report] = deque()  # that the thread has not sent yet
         self._waking, self._wake = socket.socketpair()  # a third less processor time than `call_soon_threadsafe`
         for end in (self._waking, self._wake):
-            end.setblocking(False)
+            end.setblocking(False)  # noqa: FBT003  the parameter has no name
             self._stack.callback(end.close)
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
@@ -191,7 +191,7 @@ class ControlServer:
             self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
         finally:
             del self._clients[task]
-            self._subscribe(client, False)
+            self._subscribe(client, wanted=False)
             if client.watching is not None:
                 client.watching.cancel()
             writer.close()
@@ -251,10 +251,10 @@ class ControlServer:
         """Begin to send events to a client, or change their kinds and the interval of its statuses."""
         if client.watching is not None:
             client.watching.cancel()
-        self._subscribe(client, request.samples)
+        self._subscribe(client, wanted=request.samples)
         client.watching = self._loop.create_task(self._send_events(client, request.interval))
 
-    def _subscribe(self, client: "_Client", wanted: bool) -> None:
+    def _subscribe(self, client: "_Client", *, wanted: bool) -> None:
         client.subscribed = wanted
         self._subscribers = tuple(other for other in self._clients.values() if other.subscribed)
 

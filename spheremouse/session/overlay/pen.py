@@ -49,7 +49,15 @@ class Pen:
     def outline(self, points: Array) -> None:
         """A ball's outline, (n, 2) px: thin, as it is not detected but known."""
         layer = self._canvas.copy()
-        cv2.polylines(layer, [self._fixed(points)], True, OUTLINE, self.width, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(
+            layer,
+            [self._fixed(points)],
+            isClosed=True,
+            color=OUTLINE,
+            thickness=self.width,
+            lineType=cv2.LINE_AA,
+            shift=_SHIFT,
+        )
         cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
 
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
@@ -58,7 +66,15 @@ class Pen:
         values, vectors = np.linalg.eigh(shape)  # a rounded shape may have no Cholesky factor
         rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ (vectors * np.sqrt(values.clip(0.0))).T
         for shade, width in ((SHADOW, 3 * self.width), (_dull(colour, weight), self.width)):  # seen on light ground too
-            cv2.polylines(self._canvas, [self._fixed(rim)], True, shade, width, cv2.LINE_AA, _SHIFT)
+            cv2.polylines(
+                self._canvas,
+                [self._fixed(rim)],
+                isClosed=True,
+                color=shade,
+                thickness=width,
+                lineType=cv2.LINE_AA,
+                shift=_SHIFT,
+            )
 
     def trace(self, epochs: list[Array]) -> None:
         """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
@@ -111,7 +127,15 @@ class Pen:
             _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
 
     def _stroke(self, points: Array, colour: Colour, width: int) -> None:
-        cv2.polylines(self._canvas, [self._fixed(points)], False, colour, width, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(
+            self._canvas,
+            [self._fixed(points)],
+            isClosed=False,
+            color=colour,
+            thickness=width,
+            lineType=cv2.LINE_AA,
+            shift=_SHIFT,
+        )
 
     def _fixed(self, points: Array) -> NDArray[np.int32]:
         """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""

@@ -29,7 +29,7 @@ class Notifier:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         notifier = sdnotify.SystemdNotifier()
         if notifier.socket is not None:  # a manager that does not read must not block: messages are dropped
-            notifier.socket.setblocking(False)
+            notifier.socket.setblocking(False)  # noqa: FBT003  the parameter has no name
         self._send: Callable[[str], Any] = notifier.notify
         self._clock, self.interval = clock, _interval()
         self._token: Any = None

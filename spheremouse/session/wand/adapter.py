@@ -157,7 +157,7 @@ class WandAdapter(TrackerAdapter):
         if seeing and estimate is not None and self.status is Status.TRACKING:
             motion = of_hand(self._plan.configuration.wand.pointing).motion(estimate)
         if not seeing or not poses:
-            poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
+            poses = tuple(WandPose.unknown(b.name, Status.SEARCHING, event=None) for b in self.tracker.balls)
         balls = [_ball_status(pose) for pose in poses]
         return TrackerStatus(motion=motion, balls=balls)
 

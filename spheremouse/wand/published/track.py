@@ -41,7 +41,9 @@ def follow(
     particles = Particles(moved.position, moved.rotation, weight)
     pose, count = mean_pose(particles), effective_number(weight)
     after = replace(track, particles=resample_degenerate(particles, rng), pose=pose, stamp=stamp, seen=stamp)
-    return after, WandPose(context.ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)
+    return after, WandPose(
+        context.ball.name, *pose, Status.TRACKING, event=None, match=float(weight @ match), effective=count, seen=True
+    )
 
 
 def log_product(position: Array, rotation: Array, model: Model, fields: Fields) -> tuple[Array, Array]:
