@@ -65,7 +65,7 @@ def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
         return None
     centre = predict_targets(pose, rig)
     points = pose.to_cam(rig.targets.position)
-    normal = np.broadcast_to(pose.rotation[2], points.shape)
+    normal = np.broadcast_to(pose.rotation.T @ rig.targets.normal, points.shape)
     _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
     radius = np.sqrt(np.maximum(shape[:, 0, 0], shape[:, 1, 1]))
     seen = np.isfinite(centre).all(axis=1) & np.isfinite(radius) & (points[:, 2] > 0.0)

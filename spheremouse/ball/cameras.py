@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import begin
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.filters.so3 import So3Filter
@@ -16,8 +17,19 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.rotation import Array
 
 _NUMBERS = 1 << 40  # of look-alikes of one camera: more than in a thousand years
+
+
+def begin_all(
+    trackers: Sequence[Tracker[Any]], stamp: float, attitude: Array | None = None, known: BallMap | None = None
+) -> TrackState[Any]:
+    """Return the state before the first frame of one or more cameras, as `build.begin` does for one."""
+    state = begin(trackers[0], stamp, attitude, known)
+    for k in range(1, len(trackers)):
+        state = with_camera(state, trackers[k], trackers[:k])
+    return state
 
 
 def with_camera(

@@ -179,7 +179,7 @@ def predict_targets(pose: Pose, rig: Rig) -> Array:
 def _predict(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> tuple[Array, Array]:
     """Predicted mean centroids, (n, 2) px, and d_centre_d_point_cam, (n, 2, 3), of the targets `which`."""
     points = pose.to_cam(rig.targets.position[which])
-    normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
+    normal = np.broadcast_to(pose.rotation.T @ rig.targets.normal, points.shape)
     _, J = project(points, rig.camera)
     return project_rings(points, normal, rig.targets.radii, rig.camera), J
 
@@ -320,7 +320,7 @@ def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:
     points = rig.targets.position[which]
     return bool(
         np.all(pose.to_cam(points)[:, 2] > 0)
-        and np.all(pose.position[2] > points[:, 2])
+        and np.all((pose.position - points) @ rig.targets.normal > 0.0)
         and np.linalg.norm(pose.position - rig.ball.centre) > rig.ball.radius
     )
 

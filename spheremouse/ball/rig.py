@@ -29,13 +29,14 @@ class Ball:
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Ring targets on the frame; their circles face +Z of `obj`."""
+    """Ring targets on the frame; their circles face one direction."""
 
     ids: tuple[int, ...]
     codes: tuple[str, ...]  # colours inside to outside, one of CODES each
     position: Array  # (n, 3) m, obj
     covariance: Array  # (3n, 3n) m², obj, of x, y, z of the first, x, y, z of the second, ...
     radii: Array  # (3,) m: inner disc, middle ring, outer ring
+    normal: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit vector that they face, obj
 
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
@@ -93,6 +94,32 @@ def in_metres(rig: Rig, unit: float) -> Rig:
         pose=pose,
         cross_covariance=None if rig.cross_covariance is None else unit**2 * rig.cross_covariance,
         scale_free=False,
+    )
+
+
+def in_axes(rig: Rig, pose: Pose, rotation: Array) -> tuple[Rig, Pose]:
+    """Return a rig without a pose, and a camera pose, in axes into which `rotation`, (3, 3), turns those of the rig."""
+    ball, targets, n = rig.ball, rig.targets, len(rig.targets.codes)
+    of_ball, of_pose, of_targets = np.eye(4), np.kron(np.eye(2), rotation), np.kron(np.eye(n), rotation)
+    of_ball[:3, :3] = rotation
+    cross = rig.cross_covariance
+    turned = replace(
+        rig,
+        ball=replace(ball, centre=rotation @ ball.centre, covariance=of_ball @ ball.covariance @ of_ball.T),
+        targets=replace(
+            targets,
+            position=targets.position @ rotation.T,
+            covariance=of_targets @ targets.covariance @ of_targets.T,
+            normal=rotation @ targets.normal,
+        ),
+        pose=None,
+        cross_covariance=None if cross is None else of_targets @ cross @ of_ball.T,
+    )
+    return turned, Pose(
+        rotation @ pose.rotation,
+        rotation @ pose.position,
+        of_pose @ pose.covariance @ of_pose.T,
+        of_pose @ pose.ball_covariance @ of_ball.T,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import build
-from spheremouse.ball.rig import Rig, in_metres
+from spheremouse.ball.rig import Rig, in_axes, in_metres
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
 from spheremouse.ball.truth import Truth
@@ -19,8 +19,8 @@ from spheremouse.files.dataset.ball import Recording
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import log
-from spheremouse.session.offline import initialise, track
+from spheremouse.geometry.rotation import Array, log
+from spheremouse.session.offline import initialise, merged, track
 from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
@@ -38,9 +38,28 @@ class BallRun(NamedTuple):
     frames: int  # that were given, also those before the first that was tracked
 
 
-def numbered_frames(recording: Recording) -> Iterator[Frame]:
+class OtherCamera(NamedTuple):
+    """A further camera of the same ball."""
+
+    frames: Iterator[Frame]
+    rig: Rig
+    turn: Array  # (3, 3) from the axes of this rig to those of the first one
+
+
+def numbered_frames(recording: Recording, first: int = 0) -> Iterator[Frame]:
     """Yield the frames numbered as the rows of the truth: a live camera also counts the frames that it dropped."""
-    return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
+    return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording), first))
+
+
+def joined(one: Recording, other: Recording) -> Recording:
+    """Return the recording of two cameras: the truth of both, in the axes of the first, and no truth of pictures."""
+    if one.truth is None or other.truth is None:
+        return replace(one, truth=None, discs=None, name=f"{one.name} and {other.name}")
+    second = _turned(other.truth, other.turn)
+    stamp, attitude, rate = (
+        np.concatenate([getattr(one.truth, name), getattr(second, name)]) for name in ("stamp", "attitude", "rate")
+    )
+    return replace(one, truth=Truth(stamp, attitude, rate), discs=None, name=f"{one.name} and {other.name}")
 
 
 def rig_of(recording: Recording, given: Rig | None) -> Rig:
@@ -58,16 +77,20 @@ def run_ball(
     settings: Settings,
     known: BallMap | None = None,
     log: Callable[[str], None] = lambda _: None,
+    others: Sequence[OtherCamera] = (),
 ) -> BallRun:
     """Track frames, with a `known` map of the ball or without. `log` gets the problem of first views without a pose.
 
-    Raises PoseError if no views show enough targets.
+    Frames of `others` are merged by their stamps. Raises PoseError if no views show enough targets.
     """
     start = initialise(frames, rig, settings, report=log)
     history, tracker = History(), build(rig, start.pose, settings)
-    for epoch in track(start.frames, tracker, known):
+    starts = [initialise(other.frames, other.rig, settings, report=log) for other in others]
+    placed = [in_axes(other.rig, its.pose, other.turn) for other, its in zip(others, starts, strict=True)]
+    every = start.frames if not others else merged([start.frames, *(its.frames for its in starts)])
+    for epoch in track(every, tracker, known, [build(*each, settings) for each in placed]):
         history.add(epoch)
-    given = start.passed + len(history.epochs)
+    given = start.passed + sum(its.passed for its in starts) + len(history.epochs)
     return BallRun(history, tracker, None if start.resection is None else start.pose, given)
 
 
@@ -104,6 +127,10 @@ def _in_axes_of(rig: Rig, recording: Recording) -> Truth | None:
     R = rig.pose.rotation @ recording.pose.rotation.T
     if np.linalg.norm(log(R)) < _OTHER_AXES:
         return truth
+    return _turned(truth, R)
+
+
+def _turned(truth: Truth, R: Array) -> Truth:
     return replace(truth, attitude=R @ truth.attitude, rate=truth.rate @ R.T)
 
 

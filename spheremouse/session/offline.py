@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from heapq import merge
 from itertools import chain, islice
 from typing import Protocol
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.ball_map import BallMap
-from spheremouse.ball.build import begin as begin_ball
+from spheremouse.ball.cameras import begin_all
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import Resection, find_pose
@@ -167,8 +168,23 @@ def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view
             view.log(f"output {spec}: {e if isinstance(e, OutputError) else 'the reader of the output is gone'}")
 
 
-def track(frames: Iterator[Frame], tracker: Tracker, known: BallMap | None = None) -> Iterator[Epoch]:
-    """Track every frame. With a `known` map of the ball, attitudes are in its frame once the ball is recognised."""
+def merged(cameras: Sequence[Iterable[Frame]]) -> Iterator[Frame]:
+    """Return the frames of several cameras in the order of their stamps, with the number of their camera."""
+
+    def of_camera(k: int) -> Iterator[Frame]:
+        return (replace(frame, camera=k) for frame in cameras[k])
+
+    return merge(*map(of_camera, range(len(cameras))), key=lambda frame: frame.stamp)
+
+
+def track(
+    frames: Iterator[Frame], tracker: Tracker, known: BallMap | None = None, others: Sequence[Tracker] = ()
+) -> Iterator[Epoch]:
+    """Track every frame. With a `known` map of the ball, attitudes are in its frame once the ball is recognised.
+
+    `others` are the trackers of further cameras, in the order of their numbers.
+    """
+    trackers = (tracker, *others)
     state: TrackState | None = None
     times = [0.0, 0.0, 0.0]
 
@@ -176,9 +192,8 @@ def track(frames: Iterator[Frame], tracker: Tracker, known: BallMap | None = Non
         times[1] = time.perf_counter()
 
     for frame in frames:
-        check_size(frame, tracker.rig.camera)
-        state = state or begin_ball(tracker, frame.stamp, known=known)
+        state = state or begin_all(trackers, frame.stamp, known=known)
         times[0] = time.perf_counter()
-        state, estimate, events = step_ball(state, frame, tracker, detected)
+        state, estimate, events = step_ball(state, frame, trackers[frame.camera], detected)
         times[2] = time.perf_counter()
         yield Epoch(frame, state, estimate, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})

@@ -20,6 +20,8 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
         **device_description(scene.rig()),
         "truth_T_obj_cam": scene.pose.matrix().tolist(),
     }
+    if simulation.azimuth:
+        description["truth_R_first_obj"] = simulation.turn.tolist()
     if len(scene.disc_directions):
         description["truth_disc_directions"] = scene.disc_directions.tolist()
     if scene.pattern is not None:

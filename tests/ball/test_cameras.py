@@ -6,18 +6,23 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from ball_world import DISCS, DT, POSE, RIG, detected
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.cameras import facing, with_camera
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import no_detections
+from spheremouse.ball.points import intersect
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import in_axes
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.tracker import Status
+from spheremouse.session.offline import merged
+from spheremouse.simulate.ball.scene import default_scene
+from spheremouse.tracker import Frame, Status
 
 ASIDE = exp(np.array([0.0, 0.5 * np.pi, 0.0]))  # from the camera in front to the one at the side
 POSES = POSE, Pose(ASIDE @ POSE.rotation, ASIDE @ POSE.position)
@@ -108,6 +113,28 @@ def test_the_parts_of_a_camera_stay_its_own():
     numbers = [facing(states[-1], k).lookalikes.next_number for k in range(2)]
     assert abs(numbers[0] - numbers[1]) > 1e9  # never the same
     assert_array_equal(facing(facing(states[-1], 0), 1).filter.joint, states[-1].filter.joint)
+
+
+def test_other_axes_change_no_picture():
+    """The same targets and discs in the picture, with the same errors, from a rig in the axes of another camera."""
+    scene = default_scene()
+    joint = np.cov(np.random.default_rng(3).normal(size=(10, 30))) * 1e-8
+    ball = replace(scene.rig().ball, covariance=joint[6:, 6:])
+    rig = replace(scene.rig(), ball=ball)
+    pose = replace(scene.pose, covariance=joint[:6, :6], ball_covariance=joint[:6, 6:])
+    other = in_axes(rig, pose, ASIDE)
+    assert_allclose(predict_targets(other[1], other[0]), predict_targets(pose, rig), atol=1e-9)
+    places = DISCS[DISCS[:, 2] > 0.5]
+    uv = seen_at(places, rig, pose)
+    assert_allclose(seen_at(places @ ASIDE.T, *other), uv, atol=1e-9)
+    here, there = (intersect(detected(uv, None), *each) for each in ((rig, pose), other))
+    assert_allclose(there.covariance, ASIDE @ here.covariance @ ASIDE.T, atol=1e-12)
+
+
+def test_frames_of_two_cameras_come_in_the_order_of_their_stamps():
+    image = np.zeros((2, 2), np.uint8)
+    frames = [[Frame(image, t, k) for k, t in enumerate(stamps)] for stamps in ((0.0, 0.1, 0.5), (0.05, 0.2, 0.3))]
+    assert [(f.camera, f.sequence) for f in merged(frames)] == [(0, 0), (1, 0), (0, 1), (1, 1), (1, 2), (0, 2)]
 
 
 def test_a_published_tracker_takes_one_camera():

@@ -569,3 +569,18 @@ def dark_centroid(image, centre, half=9):
 def test_a_ball_whose_only_disc_fell_off_is_filmed_on():
     film = prepare(SimulationOptions(discs=1, disc_off=0.1, seconds=0.2, size=(160, 120)))
     assert sum(1 for _ in simulate(film)) == film.frames
+
+
+def test_cameras_of_one_seed_film_one_motion():
+    """Their truth is the same ball in the axes of each, and their noise differs."""
+    common = {"motion": "play", "seconds": 0.1, "size": (80, 60), "noise": 2.0, "sway": 5.0}
+    front = prepare(SimulationOptions(**common))
+    side = prepare(SimulationOptions(**common, azimuth=90.0, late=0.01))
+    times = np.linspace(0.0, 0.2, 5)
+    np.testing.assert_allclose(side.turn @ side.profile.attitude(times), front.profile.attitude(times), atol=1e-12)
+    np.testing.assert_allclose(side.profile.rate(times) @ side.turn.T, front.profile.rate(times), atol=1e-12)
+    np.testing.assert_allclose(side.turn @ [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], atol=1e-12)  # it stands at the right
+    ours, theirs = list(simulate(front)), list(simulate(side))
+    assert [f.frame.stamp for f in theirs] == pytest.approx([f.frame.stamp + 0.01 for f in ours])
+    np.testing.assert_allclose(side.turn @ side.options.lifts[0].shift, front.options.lifts[0].shift, atol=1e-12)
+    assert np.mean(ours[0].frame.image != theirs[0].frame.image) > 0.5

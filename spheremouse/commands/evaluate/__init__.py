@@ -29,6 +29,12 @@ class Options:
         Path | None,
         typer.Option("--config", metavar="FILE", help="Configuration file; its source, output and files do not count."),
     ] = None
+    beside: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Film by a second camera, merged by stamp; it has its own rig, and true axes."
+        ),
+    ] = None
     rig_file: RigFile = None
     camera_file: CameraFile = None
     map_file: Annotated[
@@ -63,11 +69,14 @@ def evaluate(*, options: Options) -> None:
         raise ConfigurationError(f"--noise: must be 0 or more grey values, is {o.noise:g}")
     if o.plot_file is not None and len(o.datasets) > 1:
         raise ConfigurationError("--plot: draws one dataset; name one at a time")
+    if o.beside is not None and len(o.datasets) > 1:
+        raise ConfigurationError("--beside: belongs to one dataset; name one at a time")
     inputs = [o.config_file, o.rig_file, o.camera_file, o.map_file, *(o.balls or ())]
     check_outputs([o.json_file, o.plot_file], inputs, force=True)
     of_wand = o.tracker == "wand" or (o.tracker is None and all(is_wand(path) for path in o.datasets))
     if of_wand:
         others = {"--detector": o.detector, "--rig": o.rig_file, "--map": o.map_file, "--plot": o.plot_file}
+        others |= {"--beside": o.beside}
         others |= {"--begin": o.begin or None, "--end": None if o.end == math.inf else o.end}
         others |= {"--noise": o.noise or None, "--brightness": o.brightness or None, "--smooth": o.smooth or None}
         for name, value in others.items():

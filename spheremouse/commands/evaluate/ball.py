@@ -23,7 +23,7 @@ from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.evaluate import BallRun, ball_reports, numbered_frames, rig_of, run_ball
+from spheremouse.session.evaluate import BallRun, OtherCamera, ball_reports, joined, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
@@ -34,6 +34,12 @@ class _Track(NamedTuple):
     recording: Recording
     rig: Rig
     known: BallMap | None
+    beside: Recording | None = None  # by a second camera
+
+    @property
+    def truth(self) -> Recording:
+        """The recording that has the truth of all frames."""
+        return self.recording if self.beside is None else joined(self.recording, self.beside)
 
 
 def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
@@ -52,9 +58,9 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
         recording = each.recording
         try:
             run = _run(each, settings, options, err)
-            results += ball_reports(run, recording, options.smooth)
+            results += ball_reports(run, each.truth, options.smooth)
             if options.plot_file is not None:
-                _plot(run.history.run(), recording, options.plot_file)
+                _plot(run.history.run(), each.truth, options.plot_file)
         except SpheremouseError as e:
             terminal.error(about(recording.path, str(e)))
             failed = True
@@ -92,16 +98,27 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
         recording = open_dataset(path)
         rig = rig_of(recording, given)
         rig = rig if camera is None else replace(rig, camera=camera)
-        if options.pose == "known":
-            if recording.pose is None:
-                raise DatasetError(f"{path}: scene.json has no truth_T_obj_cam, which --pose known takes")
-            rig = replace(rig, pose=recording.pose)
+        rig = _with_pose(rig, recording, options)
         known = None if options.map_file is None else open_map(options.map_file, rig, map_kind(rig, settings)).map
-        yield _Track(recording, rig, known)
+        yield _Track(recording, rig, known, None if options.beside is None else open_dataset(options.beside))
+
+
+def _with_pose(rig: Rig, recording: Recording, options: Options) -> Rig:
+    """Return the rig with the true pose of its camera, if `--pose known` takes it."""
+    if options.pose != "known":
+        return rig
+    if recording.pose is None:
+        raise DatasetError(f"{recording.path}: scene.json has no truth_T_obj_cam, which --pose known takes")
+    return replace(rig, pose=recording.pose)
 
 
 def _run(each: _Track, settings: Settings, options: Options, err: Console) -> BallRun:
-    recording, rig, known = each
+    recording, rig, known, beside = each
+    others = []
+    if beside is not None:
+        seen = section(numbered_frames(beside, recording.frames), options.begin, options.end)
+        seen = degraded(iter(seen), options.noise, options.brightness)
+        others.append(OtherCamera(seen, _with_pose(beside.rig, beside, options), beside.turn))
     since = recording.seconds - recording.seconds[0]
     total = int(np.count_nonzero((since >= options.begin) & (since < options.end)))
     with terminal.progress_bar() as progress:
@@ -110,7 +127,7 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
         frames = progress.track(numbered, total, task_id=task)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
         run = run_ball(
-            degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append
+            degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append, others
         )
     for text in passed_over:
         err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)

@@ -46,6 +46,7 @@ class Recording(Recorded):
     truth: Truth | None
     discs: DiscTruth | None
     truth_directions: Array | None  # (m, 3) true unit vectors to the discs, ball
+    turn: Array  # (3, 3) R_first_obj, true, from the axes of this recording to those of the first camera of a film
 
 
 # ---- scene.json ----
@@ -74,6 +75,7 @@ class _Scene(SceneEntry):
     target_radii: tuple[Positive, Positive, Positive] | None = None
     T_obj_cam: _Matrix4 | None = None
     truth_T_obj_cam: _Matrix4 | None = None  # noqa: N815
+    truth_R_first_obj: tuple[_Vector, _Vector, _Vector] | None = None  # noqa: N815
     truth_disc_directions: tuple[_Vector, ...] | None = None
 
 
@@ -101,8 +103,16 @@ def open_dataset(path: Path | str) -> Recording:
         truth=truth,
         discs=discs,
         truth_directions=directions,
+        turn=_turn(path, scene),
         stamps=stamps,
     )
+
+
+def _turn(path: Path, scene: _Scene) -> Array:
+    turn = np.eye(3) if scene.truth_R_first_obj is None else np.array(scene.truth_R_first_obj, dtype=float)
+    if not is_rotation(turn):
+        raise DatasetError(f"{path / 'scene.json'}: truth_R_first_obj: not a rotation (3 x 3)")
+    return turn
 
 
 def _read_scene(document: Document) -> _Scene:

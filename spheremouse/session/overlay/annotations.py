@@ -35,7 +35,7 @@ def of_still(rig: Rig, pose: Pose) -> Plain:
     marks: Plain = {"outline": _points(ball_outline(rig, pose)[::2]), "targets": []}
     if rig.targets.codes:
         points = pose.to_cam(rig.targets.position)
-        normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
+        normal = np.broadcast_to(pose.rotation.T @ rig.targets.normal, points.shape)
         _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
         for code, place, s in zip(rig.targets.codes, predict_targets(pose, rig), shape, strict=True):
             if np.isfinite(place).all():

@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bumped, displaced, facing
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds, option_name
 from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
+    SeenFrom,
     creep,
     flick,
     play,
@@ -42,6 +44,13 @@ class Simulation:
     fps: float  # Hz
     seed: int
     changes: tuple[Change, ...] = ()  # of the scene, by time
+    azimuth: float = 0.0  # deg, of the camera about the ball's vertical axis
+    late: float = 0.0  # s, stamp of the first frame
+
+    @property
+    def turn(self) -> Array:
+        """R_first_obj, (3, 3), from the axes of this camera's targets to those of a camera at azimuth 0."""
+        return from_euler(np.array([0.0, np.radians(self.azimuth), 0.0]))
 
     @property
     def frames(self) -> int:
@@ -86,17 +95,25 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         ball_colour=WHITE_BALL if options.ball_colour is None else reflectance(options.ball_colour),
         disc_colour=BLACK if options.disc_colour is None else reflectance(options.disc_colour),
     ).scaled(options.radius / scene.ball_radius)
-    changes = _changes(options, scene, profile, named)
-    return Simulation(scene, profile, _effects(options, seconds), seconds, options.fps, options.seed, changes)
+    changes, effects = _changes(options, scene, profile, named), _effects(options, seconds)
+    film = Simulation(
+        scene, profile, effects, seconds, options.fps, options.seed, changes, options.azimuth, options.late
+    )
+    if options.azimuth == 0.0:
+        return film
+    back = film.turn.T
+    x, y = (replace(lift, shift=tuple(back @ lift.shift)) for lift in effects.lifts), SeenFrom(profile, back)
+    return replace(film, profile=y, options=replace(effects, lifts=tuple(x)))
 
 
 def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterator[SimulatedFrame]:
     """Yield the frames with truth. Stamps start at 0. You may pass an existing `renderer`."""
     renderer = Renderer(simulation.scene, simulation.options) if renderer is None else renderer
-    rng = np.random.Generator(np.random.SFC64([simulation.seed, 1]))  # NumPy's fastest: noise takes most of the time
+    camera = [round(1000.0 * simulation.azimuth) % 360000] if simulation.azimuth else []
+    rng = np.random.Generator(np.random.SFC64([simulation.seed, 1, *camera]))  # the fastest: noise takes most time
     changes = list(simulation.changes)
     for index in range(simulation.frames):
-        t = index / simulation.fps
+        t = simulation.late + index / simulation.fps
         while changes and t >= changes[0].time:
             scene = changes.pop(0).scene
             same = scene.pose is renderer.scene.pose

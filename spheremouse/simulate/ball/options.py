@@ -49,6 +49,15 @@ class SimulationOptions:
     readout: float = param(0.0, "s", "Time a rolling shutter takes over all rows in s.", ge=0)
     seed: int = param(0, "-", "Of discs, pattern, noise and play.", ge=0)
     layout: int | None = param(None, "-", "Seed of discs and pattern alone: another ball.  [default: as --seed]", ge=0)
+    azimuth: float = param(
+        0.0,
+        "deg",
+        "Where the camera stands, to the right about the ball's vertical axis. It has targets of its own, and films "
+        "with one seed show the same motion to several cameras.",
+        ge=-180,
+        le=180,
+    )
+    late: float = param(0.0, "s", "Stamp of the first frame in s; a second camera is not synchronised.", ge=0, le=1)
     size: tuple[int, int] = param((640, 480), "WxH", "Size of the images in px.", ge=16, le=_MAX_SIDE)
     dist: tuple[float, float, float, float, float] = param(
         (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."

@@ -32,6 +32,27 @@ class Profile(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class SeenFrom:
+    """A motion in the axes of another camera."""
+
+    profile: Profile
+    rotation: Array  # (3, 3) into those axes
+
+    @property
+    def seconds(self) -> float:
+        """s, as that of the motion."""
+        return self.profile.seconds
+
+    def attitude(self, t: Array) -> Array:
+        """R_obj_ball at times (n,) s, (n, 3, 3)."""
+        return self.rotation @ self.profile.attitude(t)
+
+    def rate(self, t: Array) -> Array:
+        """w_obj at times (n,) s, (n, 3) rad/s."""
+        return self.profile.rate(t) @ self.rotation.T
+
+
 # ---- Euler angles made of parabolas ----
 
 # Times, s, and angles, degrees, of omega, phi and kappa in the synthetic sets of Wittich 2017 (figure 30)

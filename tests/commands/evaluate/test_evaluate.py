@@ -558,6 +558,23 @@ def test_command_writes_a_table_and_json(run_command, filmed, tmp_path):
     assert result["detection"]["recall"] > 0.8
 
 
+@pytest.mark.slow
+def test_two_cameras_of_one_ball_are_tracked_as_one(run_command, tmp_path):
+    """Each finds its own pose by its own targets; the truth is that of both, in the axes of the first."""
+    for name, azimuth, late in (("front", 0.0, 0.0), ("side", 90.0, 0.017)):
+        film = SimulationOptions(motion="play", seconds=1.5, noise=2.0, seed=1, azimuth=azimuth, late=late)
+        assert len(list(write_simulation(tmp_path / name, prepare(film)))) == 45
+    done = run_command(tmp_path / "front", "--beside", tmp_path / "side", "--json", "-")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert (result["dataset"], result["frames"], result["tracked"]) == ("front and side", 90, 90)
+    assert result["attitude_rmse_deg"]["combined"] < 0.03
+    assert result["nees"]["attitude"] < 3.0
+    done = run_command(tmp_path / "front", "--beside", tmp_path / "side", "--tracker", "ekf1")
+    assert done.exit_code == 2
+    assert "more than one camera" in done.stderr
+
+
 def test_json_to_stdout_is_only_json_and_a_list_for_several(run_command, filmed):
     done = run_command(filmed, filmed, "--pose", "known", "--tracker", "ekf2", "--json", "-")
     assert done.exit_code == 0, done.stderr
@@ -638,6 +655,7 @@ def test_without_truth_it_runs_all_the_same(run_command, filmed, tmp_path):
         (("--map", "missing.yaml", "--tracker", "ekf1"), "--map: tracker ekf1 keeps no map"),
         (("--smooth", "--tracker", "ekf1"), "--smooth: there is no smoother for ekf1"),
         (("another", "--plot", "out.png"), "--plot"),
+        (("another", "--beside", "side"), "--beside: belongs to one dataset"),
         (("missing",), "missing"),
     ],
 )
