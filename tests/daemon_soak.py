@@ -394,11 +394,11 @@ def soak(days: float, seed: int) -> list[str]:
     moved = replace(scene, pose=Pose(turn @ scene.pose.rotation, scene.pose.position + BUMP))
     films = Film.render(), Film.of(moved)
     outputs.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
-    capture.PATIENCE = timing.PATIENCE = 0.3
+    capture.MAX_FRAME_GAP_S = timing.MAX_FRAME_GAP_S = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
     capture.BACK_OFF = reporter.RETRY_DELAYS = (0.005, 0.01)
-    run._USELESS = 0.5
-    worker._FAULTS_WITHIN = 0.0  # the process is not to end
+    run._MAX_UNUSABLE_S = 0.5
+    worker._FAULT_WINDOW_S = 0.0  # the process is not to end
     MapKeeper.__init__.__defaults__ = (1.0, *(MapKeeper.__init__.__defaults__ or ())[1:])
     with tempfile.TemporaryDirectory() as name:
         cabinet = Cabinet(films, Path(name), days, seed)

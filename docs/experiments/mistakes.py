@@ -29,7 +29,10 @@ TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"
 TRACKERS = kit.TRACKERS
 STRAIGHT = 2.0  # °, a pointer that goes where the hand pushes
 STEADY = 100.0 * SHARE  # %, of the motion, that is neither scale nor direction
-_SHORTEST, _NARROW = 10, 0.1  # frames, and fraction of the turns about other axes, for an estimate of the scale
+_MIN_FRAMES, _MIN_TURN_FRACTION = (
+    10,
+    0.1,
+)  # frames, and fraction of the turns about other axes, for an estimate of the scale
 _QUICKLY = "pose.frames=5"  # the film's first frames show the same
 
 
@@ -146,7 +149,7 @@ def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, flo
     """
     k = run.tracked
     k = k[np.isin(k - 1, k)]
-    if len(k) < _SHORTEST:
+    if len(k) < _MIN_FRAMES:
         return None
     R = motion.attitude
     made = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
@@ -156,7 +159,7 @@ def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, flo
 def pointer_errors(sent: Array, made: Array) -> dict[str, float] | None:
     """`sent` (n, 2) mm of the pointer, `made` (n, 3) mm: across, along, spin."""
     spread = np.linalg.svd(made, compute_uv=False)
-    if spread[-1] <= _NARROW * spread[0]:
+    if spread[-1] <= _MIN_TURN_FRACTION * spread[0]:
         return None  # turns about one axis, or none, are left, so the others stay uncertain
     A = np.linalg.lstsq(made, sent, rcond=None)[0].T
     M, left = A[:, :2], sent - made @ A.T

@@ -41,7 +41,7 @@ FOCAL = 640.0  # px, its lens
 _FILL = 0.9  # share of the picture's height that the ball fills before a lens chosen for its distance
 _RIM = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)  # where a disc is looked at, beside its centre
 _RING = 2.5  # px across: narrower rings of targets are not found (`targets`)
-_LEAST = 15  # centres that make a size class
+_MIN_CENTRES = 15  # centres that make a size class
 POSED = 3  # targets that make a pose
 TOP = 60.0  # times the least error: more is not drawn
 LENSES = ("same lens", "ball fills the picture")
@@ -150,7 +150,7 @@ def measured_noise(pictures: int, places: int = len(_PICTURED)) -> list[Size]:
     for o in np.unique(octave):
         here = octave == o
         known = here & np.isfinite(error[:, 0])
-        if np.count_nonzero(here) >= _LEAST:
+        if np.count_nonzero(here) >= _MIN_CENTRES:
             sigma = float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else float("inf")
             share = float(np.count_nonzero(known) / np.count_nonzero(here))
             if share > 0.0:

@@ -33,7 +33,7 @@ SHOWN = 0.004  # s, between two looks at the pointer
 SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, in which it is stopped, and before
 OVERSHOOT = "overshoot, counts"
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
-_FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
+_INTEGRATION_STEP_S, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
 _LAG_STEP = 0.002  # s
 _LAGS = np.arange(-0.05, 0.4, _LAG_STEP)  # s, that are tried
 
@@ -94,10 +94,10 @@ class Path:
 
 def ball(motion: Profile, end: float, matrix: Array) -> Path:
     """The true path, not rounded."""
-    fine = np.arange(0.0, end + 0.5 * _FINE, _FINE)
+    fine = np.arange(0.0, end + 0.5 * _INTEGRATION_STEP_S, _INTEGRATION_STEP_S)
     speed = motion.rate(fine) @ matrix.T
-    place = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * _FINE, axis=0)])
-    every = round(SHOWN / _FINE)
+    place = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * _INTEGRATION_STEP_S, axis=0)])
+    every = round(SHOWN / _INTEGRATION_STEP_S)
     return Path(fine[::every], place[::every])
 
 

@@ -218,7 +218,7 @@ def restored(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTr
 # ---- speeds ----
 
 
-_MANY = 5000  # particles: with more a third of the pictures is enough
+_REDUCED_FROM_PARTICLES = 5000  # particles: with more a third of the pictures is enough
 SPEEDS = {
     "50 particles, whole frame": WandSettings(particles=50, region=False),
     "350 particles, whole frame": WandSettings(region=False),
@@ -245,7 +245,7 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
     for name, settings in SPEEDS.items():
         tracker = build(film.scene.camera, (film.scene.balls[0].ball,), settings)
         times = []
-        shown = pictures[: len(pictures) // 3] if settings.particles > _MANY else pictures
+        shown = pictures[: len(pictures) // 3] if settings.particles > _REDUCED_FROM_PARTICLES else pictures
         for _ in range(2):
             state = begin(tracker, 1, shown[0].stamp)
             for frame in shown:

@@ -20,10 +20,12 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, align, log, tangent_basis
 from spheremouse.tracker import Frame, Status
 
-_LIVELY = 64.0  # level of the player from which a bumped camera explains as much
-_STIRRED = 8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
-_RESTS = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
-_UNNOTICED = 0.02  # rad, by which a camera may seem to turn the ball without a suspected bump
+_MIN_BUMP_LEVEL = 64.0  # level of the player from which a bumped camera explains as much
+_MIN_BUMP_LEVEL_AT_REST = (
+    8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
+)
+_MAX_REST_RATE_RAD_S = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
+_MAX_UNNOTICED_TURN_RAD = 0.02  # rad, by which a camera may seem to turn the ball without a suspected bump
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 
 
@@ -87,7 +89,7 @@ def apparent_turn(shift: Array, tracker: Tracker) -> Array:
     if len(which) < 2:
         return np.zeros(3)
     turn = log(align(directions[which], seen))
-    return turn * min(1.0, _UNNOTICED / max(float(np.linalg.norm(turn)), _UNNOTICED))
+    return turn * min(1.0, _MAX_UNNOTICED_TURN_RAD / max(float(np.linalg.norm(turn)), _MAX_UNNOTICED_TURN_RAD))
 
 
 def bump_suspected(state: TrackState[So3State]) -> bool:
@@ -97,7 +99,8 @@ def bump_suspected(state: TrackState[So3State]) -> bool:
     freedom = 2 * len(state.filter.used)
     return (
         not state.confirmed
-        or state.filter.manoeuvre_level >= (_STIRRED if np.linalg.norm(state.filter.rate) < _RESTS else _LIVELY)
+        or state.filter.manoeuvre_level
+        >= (_MIN_BUMP_LEVEL_AT_REST if np.linalg.norm(state.filter.rate) < _MAX_REST_RATE_RAD_S else _MIN_BUMP_LEVEL)
         or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
     )
 

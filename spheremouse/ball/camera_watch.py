@@ -21,11 +21,13 @@ from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
-_FINE = 17  # px, half width of a reduced patch: larger ones are reduced to about that
-_AROUND = 1.3  # half width of a patch in outer radii of the target: it includes the ring's edge and some background
-_NEAR = 3  # px of the reduced patch, reach of an ordinary search
+_PATCH_HALF_WIDTH_PX = 17  # px, half width of a reduced patch: larger ones are reduced to about that
+_PATCH_HALF_WIDTH_RADII = (
+    1.3  # half width of a patch in outer radii of the target: it includes the ring's edge and some background
+)
+_SEARCH_REACH_PX = 3  # px of the reduced patch, reach of an ordinary search
 _POINT_SYMMETRY = 0.7  # correlation of a patch with itself turned by 180°, from which it is taken for a target
-_CONTRAST = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark
+_MIN_CONTRAST_GREY = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark
 DISPLACED_PX = 0.15  # shift of a moved target: seven standard deviations of its rings, 0.05° of the ball far away
 RING_SIGMA_PX = 0.02  # standard deviation of a shift measured on the rings' edges
 MATCH_SIGMA_PX = 0.1  # standard deviation of a shift by correlation: the background of a target shifts otherwise
@@ -33,7 +35,7 @@ _INTERVAL_S = 1.0  # the time in which each target is measured once, one at a ti
 _SHAKES_S = 1.0  # s, after which a camera that was displaced counts as at rest
 _MIN_CORRELATION = 0.7  # with the remembered patch; below, something hides the target
 _STILL_PX = 0.15  # shift of the targets between two frames while the camera stands
-_FAR = 0.05  # image widths within which a displaced target is searched; beyond, its colours find it
+_MAX_DISPLACEMENT_WIDTHS = 0.05  # image widths within which a displaced target is searched; beyond, its colours find it
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +71,8 @@ def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
     _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
     radius = np.sqrt(np.maximum(shape[:, 0, 0], shape[:, 1, 1]))
     seen = np.isfinite(centre).all(axis=1) & np.isfinite(radius) & (points[:, 2] > 0.0)
-    half = np.ceil(_AROUND * radius[seen])
-    reduction = np.maximum(np.rint(half / _FINE), 1.0)
+    half = np.ceil(_PATCH_HALF_WIDTH_RADII * radius[seen])
+    reduction = np.maximum(np.rint(half / _PATCH_HALF_WIDTH_PX), 1.0)
     size = (2 * np.ceil(half / reduction) + 1) * reduction
     corner = np.rint(centre[seen] - 0.5 * (size[:, None] - 1))
     room = (corner >= 0).all(axis=1) & (corner + size[:, None] <= (rig.camera.width, rig.camera.height)).all(axis=1)
@@ -105,7 +107,7 @@ def remember_targets(
         patch = _window(watch, image, k, 0)[0]
         values = patch.astype(np.float32)
         turned = np.ascontiguousarray(values[::-1, ::-1])
-        good = float(values.std()) > _CONTRAST
+        good = float(values.std()) > _MIN_CONTRAST_GREY
         good = good and float(cv2.matchTemplate(values, turned, cv2.TM_CCOEFF_NORMED)[0, 0]) > _POINT_SYMMETRY
         patches[k], seen[k] = (patch if good else None), good
         if good:
@@ -116,12 +118,15 @@ def remember_targets(
 
 
 def target_shift(watch: CameraMonitor, image: Image, which: int, far: bool = False) -> Array:
-    """Return the shift, (2,) px, of a target; nan if it is hidden. With `far`, the search covers _FAR widths."""
+    """Return the shift, (2,) px, of a target; nan if it is hidden.
+
+    With `far`, the search covers _MAX_DISPLACEMENT_WIDTHS.
+    """
     template = watch.patches[which]
     if template is None:
         return np.full(2, np.nan)
     f = int(watch.reduction[which])
-    reach = int(np.ceil(_FAR * image.shape[1] / f)) if far else _NEAR
+    reach = int(np.ceil(_MAX_DISPLACEMENT_WIDTHS * image.shape[1] / f)) if far else _SEARCH_REACH_PX
     window, before = _window(watch, image, which, reach)
     score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
     best, at = _top(score)
@@ -135,7 +140,7 @@ def target_shifts(watch: CameraMonitor, image: Image) -> tuple[CameraMonitor, Ar
     """
     shift = np.array([target_shift(watch, image, k) for k in range(len(watch))])
     for k in range(len(watch)):
-        if not np.hypot(*shift[k]) < _NEAR - 1:
+        if not np.hypot(*shift[k]) < _SEARCH_REACH_PX - 1:
             shift[k] = target_shift(watch, image, k, far=True)
     return replace(watch, seen=np.isfinite(shift[:, 0])), shift
 

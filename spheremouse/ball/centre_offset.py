@@ -13,10 +13,12 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import mutual_nearest
 from spheremouse.geometry.rotation import Array, hat
 
-_FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
-_PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
+_PRIOR_SIGMA_RADII = (
+    0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
+)
+_PLACE_SIGMA_RAD = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
 MISFIT = 10.0  # chi-square per degree of freedom of discs that fit a rotation; at 1 they are as exact as they say
-_MAHALANOBIS = 3.0  # standard deviations of an offset that is none
+_MAX_INSIGNIFICANT_SIGMAS = 3.0  # standard deviations of an offset that is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +69,12 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
     later = p + delay[rows, None] * (hat(discs.rate) @ p[:, :, None])[:, :, 0]  # when its row was exposed
     z = (points.direction[rows] - later)[:, :, None]
     A = np.concatenate([-hat(p), np.eye(3) - points.dposition_dball[rows, :, :3]], axis=2)
-    C = points.image_covariance[rows] / radius**2 + (discs.variance[columns] + _PRINT**2)[:, None, None] * np.eye(3)
+    C = points.image_covariance[rows] / radius**2 + (discs.variance[columns] + _PLACE_SIGMA_RAD**2)[
+        :, None, None
+    ] * np.eye(3)
     W = np.linalg.inv(C)
     weighted = A.transpose(0, 2, 1) @ W
-    N = (weighted @ A).sum(axis=0) + np.diag([1e-9] * 3 + [_FARTHEST**-2] * 3)
+    N = (weighted @ A).sum(axis=0) + np.diag([1e-9] * 3 + [_PRIOR_SIGMA_RADII**-2] * 3)
     right, total = (weighted @ z).sum(axis=0)[:, 0], float((z.transpose(0, 2, 1) @ W @ z).sum())
     try:
         turn = np.linalg.solve(N[:3, :3], right[:3])
@@ -86,5 +90,5 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
 
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
     """Return True if the discs fit a rotation of a ball of `radius` m about its centre; `lifted` in radii."""
-    far = found.distance > 0.5 * lifted * radius and found.mahalanobis > _MAHALANOBIS
+    far = found.distance > 0.5 * lifted * radius and found.mahalanobis > _MAX_INSIGNIFICANT_SIGMAS
     return not far and found.chi2_rotation < MISFIT

@@ -15,9 +15,14 @@ from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, align, tangent_basis
 
-_LEAST, _MOST = 0.005, 0.05  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
-_REACH = 0.2  # rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved
-_RISK = 1e-3  # of taking another ball for the same one
+_MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD = (
+    0.005,
+    0.05,
+)  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
+_MAX_DISC_MOVE_RAD = (
+    0.2  # rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved
+)
+_MAX_RISK = 1e-3  # of taking another ball for the same one
 _ANY_AXIS = np.array([0.36, 0.48, 0.8])
 _ALL_AROUND = -0.9999  # cosine of the horizon: a map shows all sides of a ball
 
@@ -56,7 +61,7 @@ class DiscMap:
         """Compare with another map in any frame. Return None if they show no sign of the same ball."""
         sigma = float(np.clip(np.sqrt(np.median(variances(self)) + np.median(variances(other))), 0.001, 0.02))
         found = identify(
-            other.directions, self.directions, sigma=sigma, view_axis=_ANY_AXIS, horizon=_ALL_AROUND, risk=_RISK
+            other.directions, self.directions, sigma=sigma, view_axis=_ANY_AXIS, horizon=_ALL_AROUND, risk=_MAX_RISK
         )
         if found is None:
             return None
@@ -71,11 +76,13 @@ class DiscMap:
         """Compare with another map, whose directions are about those of this one @ rotation.T, (3, 3)."""
         cosine = other.directions @ rotation @ self.directions.T
         apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
-        near = np.clip(5.0 * np.sqrt(variances(self)[:, None] + variances(other)[None]), _LEAST, _MOST)
+        near = np.clip(
+            5.0 * np.sqrt(variances(self)[:, None] + variances(other)[None]), _MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD
+        )
         stayed = np.stack(assign(apart / near, 1.0), axis=1)
         left_a = np.setdiff1d(np.arange(len(self)), stayed[:, 0])
         left_b = np.setdiff1d(np.arange(len(other)), stayed[:, 1])
-        i, j = assign(apart[np.ix_(left_a, left_b)], _REACH)
+        i, j = assign(apart[np.ix_(left_a, left_b)], _MAX_DISC_MOVE_RAD)
         return Comparison(
             rotation,
             stayed,

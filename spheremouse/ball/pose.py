@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.rings import MOST, TargetDetections
+from spheremouse.ball.detect.rings import MAX_COPIES, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose, project, project_rings, sphere_outline, unproject
@@ -26,9 +26,11 @@ from spheremouse.settings import param
 
 TARGET_SIGMA_PX = 0.05  # standard deviation of a centre in one view that no averaging removes: print, sampling, lens
 _MIN_SEEN_SHARE = 0.3  # of the views; a target seen in fewer is left out
-_CHOICES = 250  # combinations of one copy of each target: each needs its own resection, which takes milliseconds
+_MAX_COMBINATIONS = (
+    250  # combinations of one copy of each target: each needs its own resection, which takes milliseconds
+)
 _CROWDED = (
-    f"the picture has more shapes like targets than the search examines ({MOST} of a kind): cover or remove "
+    f"the picture has more shapes like targets than the search examines ({MAX_COPIES} of a kind): cover or remove "
     "colourful objects, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
 )
 _STRANGE = "{} seen, which the rig does not have: correct its codes, or give the rig of this device"
@@ -326,7 +328,7 @@ def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:
 
 
 def _refuse_many(seen: dict[str, list[Sighting]], choices: int) -> None:
-    if choices > _CHOICES:
+    if choices > _MAX_COMBINATIONS:
         copies = ", ".join(f"{len(options)} of {code}" for code, options in seen.items() if len(options) > 1)
         raise PoseError(f"the picture has too many copies of the rig's targets ({copies}): cover the copies")
 

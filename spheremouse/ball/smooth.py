@@ -31,9 +31,11 @@ from spheremouse.geometry.rotation import Array, exp, left_jacobian, rotation_be
 from spheremouse.native import kernels
 from spheremouse.tracker import Estimate, Status
 
-_EXACT = 1e-6  # rad: the axes of a map without error
-_RIDGE = 1e-18  # rad²: parameters that are known exactly have no variance to invert
-_TURNING = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))  # of an estimate's covariance: rotation and its rate
+_EXACT_AXES_SIGMA_RAD = 1e-6  # rad: the axes of a map without error
+_RIDGE_RAD2 = 1e-18  # rad²: parameters that are known exactly have no variance to invert
+_ROTATION_AND_RATE = np.ix_(
+    (0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8)
+)  # of an estimate's covariance: rotation and its rate
 
 
 class Observation(NamedTuple):
@@ -73,7 +75,7 @@ def _shared(joint: Array) -> Array:
     """Return the part of the covariance of rotation and rate, (6, 6), that the constant parameters explain."""
     constant = joint[KINEMATIC_DIM:-CLONE_DIM, KINEMATIC_DIM:-CLONE_DIM]
     cross = joint[:6, KINEMATIC_DIM:-CLONE_DIM]
-    shared = cross @ np.linalg.solve(constant + _RIDGE * np.eye(len(constant)), cross.T)
+    shared = cross @ np.linalg.solve(constant + _RIDGE_RAD2 * np.eye(len(constant)), cross.T)
     return 0.5 * (shared + shared.T)
 
 
@@ -140,7 +142,7 @@ def _with_reference(interval: list[Observation]) -> list[Observation]:
     if not _is_reference(first) or not shared:
         return interval
     J = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
-    J[:3, :3] = np.linalg.inv(min(shared, key=np.trace) + _EXACT**2 * np.eye(3))
+    J[:3, :3] = np.linalg.inv(min(shared, key=np.trace) + _EXACT_AXES_SIGMA_RAD**2 * np.eye(3))
     return [first._replace(information=J, score=np.zeros(KINEMATIC_DIM)), *others]
 
 
@@ -238,7 +240,7 @@ def _estimates(interval: Sequence[Observation], motions: Sequence[Motion], gains
         cross = cross @ gains[k - 1] if k else cross
         rate, covariance = np.zeros(6), np.zeros((12, 12))
         increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
-        rate[:3], covariance[_TURNING] = motion.rate, motion.covariance[:6, :6] + observation.shared
+        rate[:3], covariance[_ROTATION_AND_RATE] = motion.rate, motion.covariance[:6, :6] + observation.shared
         if k == 0 and exact:
             covariance[:3], covariance[:, :3] = 0.0, 0.0
         if k and observation.estimate.confirmed:

@@ -14,7 +14,7 @@ from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.errors import SourceError, SpheremouseError, TransferError, internal_error_text
 from spheremouse.tracker import Frame
 
-PATIENCE = 2.0  # s without a frame until a stream counts as frozen; exposures and focus searches are shorter
+MAX_FRAME_GAP_S = 2.0  # s without a frame until a stream counts as frozen; exposures and focus searches are shorter
 BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
 _STABLE_STREAM_S = 2.0  # s that a stream must last for the next failure to count as the first one
 _MAX_LAG_S = 0.2  # s that a recording may lag behind its own pace
@@ -102,7 +102,7 @@ class Capture(threading.Thread):
         open_camera: OpenCamera,
         latest: LatestFrame,
         say: Callable[[str], None] = lambda _: None,
-        patience: float = PATIENCE,
+        patience: float = MAX_FRAME_GAP_S,
     ) -> None:
         """`say` logs internal errors and rejected frames; this thread calls it."""
         super().__init__(name="capture", daemon=True)

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from spheremouse.tracker import Frame
 
 WARM_UP = 10  # steps that do not count: caches, allocator and processor clock settle
-_STEPS = 10_000  # a hundred of them are above the 99th percentile
-_FRAMES = 300  # of the simulated film, in which the ball is at rest at both ends
+_DEFAULT_STEPS = 10_000  # a hundred of them are above the 99th percentile
+_FILM_FRAMES = 300  # of the simulated film, in which the ball is at rest at both ends
 _MAX_FRAME_BYTES = 1 << 29  # of the frames that are played repeatedly
 _MIN_TRACKED = 0.95  # of the steps; with fewer the times are not those of tracking
-_BLOCK = 30  # frames that one of the compared processes before the next
+_FRAMES_IN_TURN = 30  # frames that one of the compared processes before the next
 _DETECTORS = "the multi-mask detector alone", "cv2.SimpleBlobDetector alone"
 _QUANTILES = {"median": 0.5, "p99": 0.99, "max": 1.0}
 
@@ -38,7 +38,7 @@ def bench(
         Path | None,
         typer.Argument(metavar="DATASET", help="Folder.  [default: the simulated far scene]", show_default=False),
     ] = None,
-    steps: Annotated[int, typer.Option(metavar="N", min=WARM_UP + 1, help="Steps in a row.")] = _STEPS,
+    steps: Annotated[int, typer.Option(metavar="N", min=WARM_UP + 1, help="Steps in a row.")] = _DEFAULT_STEPS,
     json_file: JsonFile = None,
 ) -> None:
     """Measure the time of the tracker's step, from the picture to the estimate, on one thread.
@@ -84,7 +84,7 @@ def _simulated() -> Film:
     from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
     fps = SimulationOptions().fps
-    film = prepare(SimulationOptions(seconds=_FRAMES / fps))
+    film = prepare(SimulationOptions(seconds=_FILM_FRAMES / fps))
     return Film("simulated far scene", film.scene.rig(), 1.0 / fps, lambda: (made.frame for made in simulate(film)))
 
 
@@ -168,9 +168,9 @@ def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
 
     blobs, simple = BlobDetector(BlobSettings()), cv2.SimpleBlobDetector.create()
     turns = list(enumerate((track, lambda f: blobs.detect(f.image), lambda f: simple.detect(f.image))))
-    for first in range(0, len(frames), _BLOCK):
+    for first in range(0, len(frames), _FRAMES_IN_TURN):
         for row, run in turns:
-            for k, frame in enumerate(frames[first : first + _BLOCK], first):
+            for k, frame in enumerate(frames[first : first + _FRAMES_IN_TURN], first):
                 began = time.perf_counter()
                 run(frame)
                 spent[row, k] = time.perf_counter() - began

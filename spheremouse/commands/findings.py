@@ -21,7 +21,7 @@ _LOOKS = {
     Verdict.WRONG: ("✗", "X", "bold red"),
     Verdict.UNCHECKED: ("·", "-", "dim"),
 }
-_NAMES = 16  # columns of the longest name of a check
+_NAME_COLUMNS = 16  # columns of the longest name of a check
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ def show(section: Section, console: Console) -> None:
     console.print(Text(section.subject, style="bold"))
     table = Table.grid(padding=(0, 1))
     table.add_column(width=max(map(len, Verdict)) + 2, no_wrap=True)
-    table.add_column(width=_NAMES, no_wrap=True)
+    table.add_column(width=_NAME_COLUMNS, no_wrap=True)
     table.add_column(ratio=1, overflow="fold")
     for finding in section.findings:
         table.add_row(_mark(finding, console), finding.name, _words(finding, console))

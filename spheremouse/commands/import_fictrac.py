@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 _SAME_AXES = math.radians(15.0)  # a square is clicked better
 _SQUARE_PX = 20.0  # by which corners miss a square in perspective: otherwise they are none
 _SAME_OUTLINE = 0.1  # of the radius: edges farther off are of something else
-_SMALLEST = 5.0  # px, radius of a ball
-_SECONDS = 10.0  # of the film, in which the edge is looked for
+_MIN_RADIUS_PX = 5.0  # px, radius of a ball
+_SEARCHED_FILM_S = 10.0  # of the film, in which the edge is looked for
 # Corners of a square in the animal's axes, in the order in which configGui takes them (FicTrac's include/geometry.h).
 _SQUARES = {
     "c2a_cnrs_xy": ((1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)),
@@ -54,7 +54,7 @@ def import_fictrac(
     check_folder(out, [config], force)
     _check(read)
     spec = source_spec(_source(read) if source is None else source)
-    images, _ = film(spec, _SECONDS)
+    images, _ = film(spec, _SEARCHED_FILM_S)
     camera = pinhole(images[0].shape[1::-1], read.values["vfov"])
     R, axes = lab_axes(read, camera)
     outline, edge = _refined(images, outline_of(read, camera), camera)
@@ -114,7 +114,7 @@ def outline_of(read: "FicTracConfig", camera: "InteriorOrientation") -> "Outline
     if "roi_c" in read.values and "roi_r" in read.values:
         u, angle = np.array(read.numbers("roi_c", 3)), read.values["roi_r"]
         size = float(np.linalg.norm(u))
-        if abs(size - 1.0) > 0.01 or not _SMALLEST * sigma < angle < 1.5 or u[2] <= 1.01 * math.sin(angle):
+        if abs(size - 1.0) > 0.01 or not _MIN_RADIUS_PX * sigma < angle < 1.5 or u[2] <= 1.01 * math.sin(angle):
             read.refuse(
                 "roi_c", "is, with roi_r, no ball before the camera", "delete both lines: roi_circ has the points"
             )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from spheremouse.ball.disc_map import DiscMap
     from spheremouse.ball.texture.picture_map import PictureMap
 
-_WIDTH = 1440  # px, of a whole turn
+_TURN_WIDTH_PX = 1440  # px, of a whole turn
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -48,7 +48,7 @@ def show(
         raise ConfigurationError(f"--output: {file} is a map of discs, and draws none", "leave --output out")
     if output is not None:
         check_outputs([output], [file], force=True)
-        write_picture(output, unfolded(found.fine, _WIDTH))
+        write_picture(output, unfolded(found.fine, _TURN_WIDTH_PX))
     table = (_disc_table if found.kind == DiscMap.kind else _pattern_table)(found)
     of = f"{found.text} on a ball of {saved.ball_radius:g} m"
     if saved.disc_radius is not None:

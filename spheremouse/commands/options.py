@@ -17,7 +17,7 @@ import typer
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.simulate.ball.options import option_name
 
-_LARGEST = 8192  # px, a side
+_MAX_SIDE_PX = 8192  # px, a side
 _LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more
 
 Command = Callable[..., None]
@@ -168,14 +168,14 @@ def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     from spheremouse.files.pictures import FRAME_PIXELS
 
     width, _, height = text.lower().partition("x")
-    fits = all(side.isdecimal() and len(side) < 10 and least <= int(side) <= _LARGEST for side in (width, height))
+    fits = all(side.isdecimal() and len(side) < 10 and least <= int(side) <= _MAX_SIDE_PX for side in (width, height))
     if fits and int(width) * int(height) > FRAME_PIXELS:
         raise ConfigurationError(
             f"--size {text}: at most {FRAME_PIXELS // 1_000_000} megapixels (8K) can be read again"
         )
     if not fits:
         raise ConfigurationError(
-            f"--size {text}: write WIDTHxHEIGHT in px, as in {example}, each from {least} to {_LARGEST}"
+            f"--size {text}: write WIDTHxHEIGHT in px, as in {example}, each from {least} to {_MAX_SIDE_PX}"
         )
     return int(width), int(height)
 

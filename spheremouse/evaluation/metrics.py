@@ -20,7 +20,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.tracker import Status
 
-_RANK = 1e-9  # eigenvalues below this part of the largest are none
+_RANK_TOLERANCE = 1e-9  # eigenvalues below this part of the largest are none
 
 
 def report(
@@ -165,7 +165,7 @@ def nees(error: Array, covariance: Array) -> Array:
 
     Singular covariances (Euler angles at phi = +-90 deg) have the pseudoinverse.
     """
-    inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
+    inverse = np.linalg.pinv(covariance, rcond=_RANK_TOLERANCE, hermitian=True)
     return np.einsum("ni,nij,nj->n", error, inverse, error)
 
 

@@ -14,7 +14,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Status
 
-_TURNING = (0, 1, 2, 6, 7, 8)  # of an estimate's covariance: rotation and its rate
+_ROTATION_AND_RATE = (0, 1, 2, 6, 7, 8)  # of an estimate's covariance: rotation and its rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,9 @@ class History:
             attitude=np.array([e.estimate.rotation for e in epochs]).reshape(n, 3, 3),
             rate=np.array([e.estimate.rate[:3] for e in epochs]).reshape(n, 3),
             rotation=np.array([e.estimate.increment[:3] for e in epochs]).reshape(n, 3),
-            covariance=np.array([e.estimate.covariance[np.ix_(_TURNING, _TURNING)] for e in epochs]).reshape(n, 6, 6),
+            covariance=np.array(
+                [e.estimate.covariance[np.ix_(_ROTATION_AND_RATE, _ROTATION_AND_RATE)] for e in epochs]
+            ).reshape(n, 6, 6),
             absolute=np.array([s.absolute for s in states], dtype=bool),
             detected=tuple(s.detections.centre for s in states),
             used=tuple(e.used for e in epochs),

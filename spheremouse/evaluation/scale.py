@@ -27,8 +27,8 @@ _NODE_S = 0.5  # s: errors of attitudes that are nearer to each other correlate
 _MIN_FREEDOM = 15  # intervals less unknowns; with fewer, the ratio of the variances is unknown
 _MIN_PATH = np.radians(5.0)  # RMS of the path about an axis, apart from motion about the others
 _MIN_UNSTEADINESS = 0.1  # part of the time that the paths do not explain, RMS
-_RANK = 1e-12  # eigenvalues below this part of the largest are none
-_TINY = 1e-30  # rad²
+_RANK_TOLERANCE = 1e-12  # eigenvalues below this part of the largest are none
+_MIN_RESIDUAL_RAD2 = 1e-30  # rad²
 _CONFIDENCE = 0.95
 
 
@@ -82,12 +82,12 @@ def _fit(X: Array, y: Array) -> tuple[Array, Array]:
     for j, ratio in enumerate(ratios):
         v = bounded + ratio
         power, axes = np.linalg.eigh(X.T @ (X / v[:, None]))
-        power, axes = power[power > _RANK * power[-1]], axes[:, power > _RANK * power[-1]]
+        power, axes = power[power > _RANK_TOLERANCE * power[-1]], axes[:, power > _RANK_TOLERANCE * power[-1]]
         inverse = axes / power @ axes.T
         value[j] = inverse @ X.T @ (y / v[:, None])
         residual = np.sum((y - X @ value[j]) ** 2 / v[:, None], axis=0) / (m - k)
         variance[j] = np.diag(inverse)[:, None] * residual
-        weight[j] = -0.5 * ((m - k) * np.log(residual + _TINY) + np.sum(np.log(v)) + np.sum(np.log(power)))
+        weight[j] = -0.5 * ((m - k) * np.log(residual + _MIN_RESIDUAL_RAD2) + np.sum(np.log(v)) + np.sum(np.log(power)))
     weight = np.exp(weight - weight.max(axis=0))
     weight = (weight / weight.sum(axis=0))[:, None]
     mean = np.sum(weight * value, axis=0)

@@ -27,8 +27,8 @@ _LAG_STEP_S = 0.02  # of the search; the regression converges from several of th
 _MAX_STEP_S = 0.5  # between two frames
 _MAX_REPORT_GAP_S = 0.05  # between two reports of a mouse that moves
 _LAG_DERIVATIVE_S = 0.03  # several reports of a coarse trackball
-_ITERATIONS = 15
-_CAUCHY = 2.385  # standard deviations: 95 % efficiency for normal errors (Holland and Welsch 1977)
+_REWEIGHTINGS = 15
+_CAUCHY_SIGMAS = 2.385  # standard deviations: 95 % efficiency for normal errors (Holland and Welsch 1977)
 _MIN_SIGMA = 0.2  # counts of a residual: whole counts
 _OUTLIER_SIGMA, _OUTLIER_COUNTS = 5.0, 3.0
 _BLOCK_ROWS = 5  # half a second: an error at the end of an interval cancels in the next one
@@ -158,7 +158,7 @@ def _regression(rows: RotationSteps, path: CountPath, lag: float) -> Match:
     J[:, 0, :3] = J[:, 1, 3:6] = W
     w, sigma, p = np.ones((n, 2)), np.ones(2), np.append(np.zeros(6), lag)
     counts = residual = np.zeros((n, 2))
-    for _ in range(_ITERATIONS):
+    for _ in range(_REWEIGHTINGS):
         times = np.stack([rows.begin, rows.end]) + p[6]
         counts, later, earlier = (np.diff(path.at(times + d), axis=0)[0] for d in (0.0, h, -h))
         J[:, :, 6] = (earlier - later) / (2.0 * h)
@@ -168,7 +168,7 @@ def _regression(rows: RotationSteps, path: CountPath, lag: float) -> Match:
         p = np.append(solution[:6], p[6] + solution[6])
         moving = np.any((counts != 0.0) | (np.abs(counts - residual) > 0.5), axis=1)
         sigma = np.maximum(mad_sigma(residual[moving]), _MIN_SIGMA)
-        w = 1.0 / (1.0 + (residual / (_CAUCHY * sigma)) ** 2)
+        w = 1.0 / (1.0 + (residual / (_CAUCHY_SIGMAS * sigma)) ** 2)
     dt, rate = (rows.end - rows.begin)[:, None], W / (rows.end - rows.begin)[:, None]
     expected = counts - residual
     outlier = np.abs(residual) > np.maximum(_OUTLIER_SIGMA * sigma, _OUTLIER_COUNTS)

@@ -32,8 +32,8 @@ LIMIT = 100.0  # ten standard deviations
 BLOCK_S = 0.5  # longer than the memory of the filter, about ten frames
 CONFIDENCE = 0.99  # one-sided: of a hundred recordings with good settings, one is changed
 MIN_GAIN = 0.05  # part of the loss; 2.5 % of an RMS error, which no player notices
-_LEAST = 1e-12  # of a scale: a ball at rest in a perfect film
-_USUAL = 0.9  # quantile of the discs used that counts as all
+_MIN_SCALE = 1e-12  # of a scale: a ball at rest in a perfect film
+_USUAL_DISCS_QUANTILE = 0.9  # quantile of the discs used that counts as all
 
 
 class Comparison(NamedTuple):
@@ -77,13 +77,13 @@ def innovation_terms(run: Run, usual: float) -> Array:
 def usual_discs(run: Run) -> float:
     """Return the number of discs that most tracked frames use at most; 1 if there are none."""
     used = [len(run.used[k]) for k in run.tracked]
-    return float(np.quantile(used, _USUAL)) if used else 1.0
+    return float(np.quantile(used, _USUAL_DISCS_QUANTILE)) if used else 1.0
 
 
 def scales(terms: Array) -> Array:
     """Return the mean of each term over the tracked frames; infinite if none is tracked, so only tracking counts."""
     tracked = terms[np.isfinite(terms).all(axis=1)]
-    return np.maximum(tracked.mean(axis=0), _LEAST) if len(tracked) else np.full(terms.shape[1], np.inf)
+    return np.maximum(tracked.mean(axis=0), _MIN_SCALE) if len(tracked) else np.full(terms.shape[1], np.inf)
 
 
 def losses(terms: Array, scale: Array, missing: int = 0) -> Array:

@@ -23,10 +23,13 @@ from spheremouse.wand.state import WandEpoch, WandPose
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
 OFF_ANGLE = np.radians(45.0)
-RECOVERED = 1.0  # s: maximum time to recover from a distractor
-_GRACE = 2  # frames, where a second is less than that
-_ALIKE = 1e-5  # m and rad by which one ball's descriptions differ, which files round
-_FAR, _NEVER = 1.0, 1e6  # m: an arm's length and more, which is another ball; and of what may not be
+MAX_RECOVERY_S = 1.0  # s: maximum time to recover from a distractor
+_MIN_RECOVERY_FRAMES = 2  # frames, where a second is less than that
+_MAX_DIFFERENCE_OF_SAME_BALL = 1e-5  # m and rad by which one ball's descriptions differ, which files round
+_MAX_DISTANCE_M, _FORBIDDEN_DISTANCE_M = (
+    1.0,
+    1e6,
+)  # m: an arm's length and more, which is another ball; and of what may not be
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +76,14 @@ def followed(
     may[~may.any(axis=1)] = ~may.any(axis=0)
     cost = np.array([[_distance(run, truth) for truth in truths] for run in runs]).reshape(may.shape)
     found: list[WandTruth | None] = [None] * len(runs)
-    for i, k in zip(*linear_sum_assignment(np.where(may, cost, _NEVER)), strict=True):
+    for i, k in zip(*linear_sum_assignment(np.where(may, cost, _FORBIDDEN_DISTANCE_M)), strict=True):
         found[i] = truths[k] if may[i, k] else None
     return found
 
 
 def alike(a: WandBall, b: WandBall) -> bool:
     """Return True if two balls look the same. Their names and the order of their discs do not count."""
-    if (a.body, len(a.discs)) != (b.body, len(b.discs)) or abs(a.radius - b.radius) > _ALIKE:
+    if (a.body, len(a.discs)) != (b.body, len(b.discs)) or abs(a.radius - b.radius) > _MAX_DIFFERENCE_OF_SAME_BALL:
         return False
     left = list(b.discs)
     for disc in a.discs:
@@ -88,8 +91,8 @@ def alike(a: WandBall, b: WandBall) -> bool:
             k
             for k, other in enumerate(left)
             if disc.colour == other.colour
-            and abs(disc.angle - other.angle) < _ALIKE
-            and np.linalg.norm(disc.direction - other.direction) < _ALIKE
+            and abs(disc.angle - other.angle) < _MAX_DIFFERENCE_OF_SAME_BALL
+            and np.linalg.norm(disc.direction - other.direction) < _MAX_DIFFERENCE_OF_SAME_BALL
         ]
         if not same:
             return False
@@ -98,9 +101,9 @@ def alike(a: WandBall, b: WandBall) -> bool:
 
 
 def _distance(run: WandRun, truth: WandTruth) -> float:
-    """Return the mean distance of the centres, m; frames above `_FAR` or without a pose count as `_FAR`."""
+    """Return the mean distance of the centres, m; frames above `_MAX_DISTANCE_M` or without a pose count as that."""
     distance = np.linalg.norm(position_error(run, truth), axis=1)
-    return float(np.mean(np.fmin(distance, _FAR))) if len(distance) else _FAR
+    return float(np.mean(np.fmin(distance, _MAX_DISTANCE_M))) if len(distance) else _MAX_DISTANCE_M
 
 
 def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
@@ -126,7 +129,7 @@ def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
         return True
     before, after = right[:-1], right[1:]
     wrong_s = run.stamp[after - 1] - run.stamp[before]
-    return bool(np.any((after - before - 1 > _GRACE) & (wrong_s > RECOVERED)))
+    return bool(np.any((after - before - 1 > _MIN_RECOVERY_FRAMES) & (wrong_s > MAX_RECOVERY_S)))
 
 
 def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:

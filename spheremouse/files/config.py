@@ -39,7 +39,7 @@ PROFILE_NAME = re.compile(r"[A-Za-z0-9_-]{1,50}")
 Profiles = dict[str, tuple[str, ...]]  # assignments KEY=VALUE by name
 
 _KINDS = {bool: "flag", int: "integer", float: "number", str: "text"}
-_WIDTH = 110
+_MAX_LINE_CHARACTERS = 110
 _JOINED = "\u00a0"  # a space at which a comment does not wrap
 
 
@@ -388,6 +388,10 @@ def _summary(cls: type) -> str:
 def _comment(text: str, indent: str) -> list[str]:
     mark = f"{indent}# "
     wrap = textwrap.TextWrapper(
-        _WIDTH, initial_indent=mark, subsequent_indent=mark, break_long_words=False, break_on_hyphens=False
+        _MAX_LINE_CHARACTERS,
+        initial_indent=mark,
+        subsequent_indent=mark,
+        break_long_words=False,
+        break_on_hyphens=False,
     )
     return [line.replace(_JOINED, " ") for line in wrap.wrap(text)]

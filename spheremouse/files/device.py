@@ -22,10 +22,10 @@ from spheremouse.files.yaml import MAX_BYTES, Problem, read_document, without_sc
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
-_FEWEST = 3  # targets; fewer define no axes
+_MIN_TARGETS = 3  # targets; fewer define no axes
 _LARGEST_PART = 0.5  # m; a target or disc with a larger radius would be as large as a ball: mm or cm were meant
-_LONGEST = 10.0  # m between targets of one frame that a camera sees at once: mm or cm were meant
-_COARSEST = 0.1  # sigma over distance: a tape is never as bad
+_MAX_DISTANCE_M = 10.0  # m between targets of one frame that a camera sees at once: mm or cm were meant
+_MAX_RELATIVE_SIGMA = 0.1  # sigma over distance: a tape is never as bad
 
 Id = Annotated[int, Field(ge=0, le=10**6, description="the id of a target, one of those under `targets`")]
 Positive = Annotated[float, Field(gt=0, le=1e4)]  # m: no tape is longer
@@ -56,7 +56,7 @@ class DeviceFile(Part):
     """Content of device.yaml."""
 
     targets: tuple[_Target, ...] = Field(
-        min_length=_FEWEST, max_length=len(CODES), description="list of {id, code}, one for each target"
+        min_length=_MIN_TARGETS, max_length=len(CODES), description="list of {id, code}, one for each target"
     )
     target_radii: tuple[Positive, Positive, Positive] = Field(
         description="[inner disc, middle ring, outer ring] in metres, each from the target's centre outwards"
@@ -140,12 +140,12 @@ def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: fl
     if d.start == d.end:
         yield Problem(("distances", i, "to"), f"target {d.end} to itself; name the other target")
     key = ("distances", i, "metres")
-    if d.metres > _LONGEST:
-        yield Problem(key, f"is {d.metres:g} m; give {_in_metres([d.metres], _LONGEST)}")
+    if d.metres > _MAX_DISTANCE_M:
+        yield Problem(key, f"is {d.metres:g} m; give {_in_metres([d.metres], _MAX_DISTANCE_M)}")
     elif outer <= _LARGEST_PART and d.metres < 2.0 * outer:
         text = f"is {d.metres:g} m, and targets of radius {outer:g} m would overlap; check it and target_radii: metres"
         yield Problem(key, text)
-    if d.metres <= _LONGEST and d.sigma > _COARSEST * d.metres:
+    if d.metres <= _MAX_DISTANCE_M and d.sigma > _MAX_RELATIVE_SIGMA * d.metres:
         text = f"is {d.sigma:g} m for a length of {d.metres:g} m; give it in metres: a tape held taut is 0.001"
         yield Problem(("distances", i, "sigma"), text)
 

@@ -13,7 +13,7 @@ from spheremouse.files.safe_files import read_text
 from spheremouse.files.validate import nearest
 
 _MAX_BYTES = 1_000_000
-_LARGEST = 1e6  # of all numbers; com_baud has 115200
+_MAX_NUMBER = 1e6  # of all numbers; com_baud has 115200
 _TEXT, _NUMBER, _FLAG, _LIST, _LISTS = "text", "a number", "y or n", "a list { a, b, ... }", "lists { { a, b, ... } }"
 _PIXELS = "all pixels of the ball count, by their noise"
 _SHOWN = "`spheremouse view` and `run --overlay` show the run"
@@ -102,7 +102,7 @@ def _value(config: FicTracConfig, key: str, text: str, form: str) -> Any:
 
 def _number(text: str) -> float:
     value = float(text)
-    if not abs(value) <= _LARGEST:  # nan is not
+    if not abs(value) <= _MAX_NUMBER:  # nan is not
         raise ValueError(text)
     return value
 

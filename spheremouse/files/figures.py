@@ -12,7 +12,7 @@ from spheremouse.files.safe_files import read_bytes
 _MAX_BYTES = 5_000_000
 _MAX_FILES = 50
 _LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-_PIXELS = 4  # of the lens parameters are in px
+_PIXEL_PARAMETERS = 4  # of the lens parameters are in px
 
 Row = tuple[str, str, str]  # quantity, value with its unit, standard deviation with its unit
 
@@ -74,9 +74,13 @@ def photo_rows(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
 def _camera(data: dict[str, Any]) -> Iterator[Row]:
     camera = data["camera"]
     yield "picture", f"{int(camera['width'])}x{int(camera['height'])} px", ""
-    values = [*(camera[name] for name in _LENS[:_PIXELS]), *camera["dist"]]
+    values = [*(camera[name] for name in _LENS[:_PIXEL_PARAMETERS]), *camera["dist"]]
     for k, (name, value, sigma) in enumerate(zip(_LENS, values, camera["sigma"], strict=True)):
-        yield (name, f"{value:.2f} px", f"{sigma:.2f} px") if k < _PIXELS else (name, f"{value:.6f}", f"{sigma:.6f}")
+        yield (
+            (name, f"{value:.2f} px", f"{sigma:.2f} px")
+            if k < _PIXEL_PARAMETERS
+            else (name, f"{value:.6f}", f"{sigma:.6f}")
+        )
     yield "corners, RMS", f"{data['rms_px']:.3f} px", ""
 
 

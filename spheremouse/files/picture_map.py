@@ -20,7 +20,7 @@ from spheremouse.files.yaml import Document, Problem, without_schema
 
 _KEY = b"\npicture: |\n"
 _VALUE, _WEIGHT = 1.0 / 1024.0, 1.0 / 8.0  # of a contrast; of a view
-_LINE = 120  # characters
+_MAX_LINE_CHARACTERS = 120  # characters
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Cells = Annotated[int, Field(ge=COARSEST, le=FINEST, multiple_of=TILE)]
@@ -49,7 +49,7 @@ def lines(header: list[str], made: PictureMap, _: None) -> list[str]:
         f"cells: [{made.fine.value.shape[1]}, {made.coarse.value.shape[1]}]  # along a face, fine and coarse",
         *landmark_lines(made.parts),
         "picture: |",
-        *(f"  {block[k : k + _LINE]}" for k in range(0, len(block), _LINE)),
+        *(f"  {block[k : k + _MAX_LINE_CHARACTERS]}" for k in range(0, len(block), _MAX_LINE_CHARACTERS)),
     ]
 
 

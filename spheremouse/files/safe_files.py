@@ -4,8 +4,9 @@ To read, open a regular file. The functions limit the bytes of a file and the le
 refusal as an OSError. Its `strerror` has problem and remedy in one line.
 
 To write, the functions write under a hidden name beside the place and then rename. At any moment the old file or the
-new one is there. If a killed process left a hidden file, the next write of that file removes it when it is OLD. The
-functions write to a stream, device or pipe that a user gives (`/dev/null`, a named pipe), and never replace it.
+new one is there. If a killed process left a hidden file, the next write of that file removes it
+when it has the age MIN_LEFTOVER_AGE_S. The functions write to a stream, device or pipe that a user gives
+(`/dev/null`, a named pipe), and never replace it.
 
 Root refuses to write into a folder that another user may change, since that user could put a link there. The user who
 called sudo counts as root.
@@ -30,7 +31,7 @@ from typing import Any, BinaryIO, Self
 
 from spheremouse.errors import ConfigurationError, SpheremouseError, os_errors_as
 
-OLD = 3600.0  # s since the last write; no file of ours takes so long until it has its name
+MIN_LEFTOVER_AGE_S = 3600.0  # s since the last write; no file of ours takes so long until it has its name
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
 _OPEN_FLAGS = sum(getattr(os, name, 0) for name in ("O_CLOEXEC", "O_NOCTTY", "O_BINARY"))
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
@@ -201,10 +202,10 @@ class NewFile:
 
 
 def _clear_left(path: Path) -> None:
-    """Remove the hidden files that killed processes left beside this file, if they are OLD."""
+    """Remove the hidden files that killed processes left beside this file, if they have the age MIN_LEFTOVER_AGE_S."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.{'?' * 8}.new"):
         with contextlib.suppress(OSError):
-            if time.time() - left.lstat().st_mtime > OLD:
+            if time.time() - left.lstat().st_mtime > MIN_LEFTOVER_AGE_S:
                 left.unlink()
 
 

@@ -22,9 +22,11 @@ from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.settings import ColourSettings
 
-_ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
-_TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
-_FEWEST, _MOST = 3, 64  # discs: three give an attitude; in a circle of 12 degrees each, 64 cover the ball
+_MAX_SEPARATION_OF_SAME_DISC_RAD = np.radians(
+    6.0
+)  # discs this near to one another are taken for the same one: half of the smallest disc
+_MIN_TURN_RAD = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
+_MIN_DISCS, _MAX_DISCS = 3, 64  # discs: three give an attitude; in a circle of 12 degrees each, 64 cover the ball
 
 Length = Annotated[float, Field(ge=1e-4, le=2.0)]  # m: a tenth of a millimetre is dust
 
@@ -52,10 +54,10 @@ class WandModel(Part):
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
     discs: tuple[_Disc, ...] = Field(
-        min_length=_FEWEST, max_length=_MOST, description="list of {azimuth, latitude, diameter, colour}"
+        min_length=_MIN_DISCS, max_length=_MAX_DISCS, description="list of {azimuth, latitude, diameter, colour}"
     )
     colours: dict[str, model_of(ColourSettings)] = Field(  # type: ignore[valid-type]
-        {}, max_length=_MOST, description="bounds of each colour; `spheremouse wand colours` picks them"
+        {}, max_length=_MAX_DISCS, description="bounds of each colour; `spheremouse wand colours` picks them"
     )
     provenance: Provenance | None = Field(None, description="where the numbers come from: a section, for people")
 
@@ -182,14 +184,18 @@ def symmetry(ball: WandBall) -> Array | None:
     apart = directions[first] @ directions[second]
     for i, a in enumerate(directions):
         for k, b in enumerate(directions):
-            if kinds[i] != kinds[first] or kinds[k] != kinds[second] or abs(a @ b - apart) > np.sin(_ALIKE):
+            if (
+                kinds[i] != kinds[first]
+                or kinds[k] != kinds[second]
+                or abs(a @ b - apart) > np.sin(_MAX_SEPARATION_OF_SAME_DISC_RAD)
+            ):
                 continue
             turn = align(directions[[first, second]], np.array([a, b]))
-            if np.linalg.norm(log(turn)) < _TURNED:
+            if np.linalg.norm(log(turn)) < _MIN_TURN_RAD:
                 continue
             angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
             nearest = np.argmin(angles, axis=1)
             same = all(kinds[j] == kinds[n] for j, n in enumerate(nearest)) and len(set(nearest.tolist())) == len(kinds)
-            if same and float(np.max(angles[np.arange(len(kinds)), nearest])) < _ALIKE:
+            if same and float(np.max(angles[np.arange(len(kinds)), nearest])) < _MAX_SEPARATION_OF_SAME_DISC_RAD:
                 return turn
     return None

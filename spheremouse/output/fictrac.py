@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from spheremouse.geometry.camera import Pose
 
 FRAMES = ("camera", "window")
-_QUARTER = 900.0  # s; clocks change at its ends alone
+_QUARTER_HOUR_S = 900.0  # s; clocks change at its ends alone
 R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-_UNKNOWN = [[np.nan] * 3] * 3
+_UNKNOWN_COVARIANCE = [[np.nan] * 3] * 3
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -41,7 +41,7 @@ class FicTrac:
         """
         self._window = frame == "window"
         self._camera: Pose | None = None  # of the line before
-        self._R_cam = _UNKNOWN  # its rotation from obj
+        self._R_cam = _UNKNOWN_COVARIANCE  # its rotation from obj
         c, s = cos(radians(forward)), sin(radians(forward))
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         self._R_lab = {"obj": (turn @ R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
@@ -96,7 +96,10 @@ class FicTrac:
         if sample.coordinates == "cam":
             return (_window_axes(sample.position) if self._window else np.eye(3)).tolist()
         if sample.camera is not self._camera:
-            self._camera, self._R_cam = sample.camera, _UNKNOWN if sample.camera is None else self._axes(sample.camera)
+            self._camera, self._R_cam = (
+                sample.camera,
+                _UNKNOWN_COVARIANCE if sample.camera is None else self._axes(sample.camera),
+            )
         return self._R_cam
 
     def _axes(self, camera: "Pose") -> list[list[float]]:
@@ -127,11 +130,11 @@ def _window_axes(centre: Array) -> Array:
 
 def _since_midnight(wall: float) -> float:
     """Return the seconds since the last midnight of the local time."""
-    quarter, rest = divmod(wall, _QUARTER)
+    quarter, rest = divmod(wall, _QUARTER_HOUR_S)
     return _seconds_of_day(quarter) + rest
 
 
 @lru_cache(maxsize=1)
 def _seconds_of_day(quarter: float) -> int:
-    local = time.localtime(quarter * _QUARTER)  # looks for a new time zone on the disk
+    local = time.localtime(quarter * _QUARTER_HOUR_S)  # looks for a new time zone on the disk
     return 3600 * local.tm_hour + 60 * local.tm_min + local.tm_sec

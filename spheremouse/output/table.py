@@ -18,7 +18,7 @@ from spheremouse.output.columns import Column, columns, rows
 from spheremouse.output.log_file import cannot_be_written, refuse_other_files
 from spheremouse.output.run_json import RunRecord
 
-_PERIOD = 1.0  # s between two writes
+_WRITE_INTERVAL_S = 1.0  # s between two writes
 
 
 class RowWriter(Protocol):
@@ -76,7 +76,7 @@ class Table(Output):
             self._record.finish()
 
     def _write(self) -> None:
-        reports, self._reports, self._due = self._reports, [], time.monotonic() + _PERIOD
+        reports, self._reports, self._due = self._reports, [], time.monotonic() + _WRITE_INTERVAL_S
         if not reports:
             return
         if not self._begun:

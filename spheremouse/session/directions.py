@@ -10,7 +10,7 @@ from spheremouse.output.wand_mapping import PointingSettings
 from spheremouse.session.control.status import MotionStatus
 from spheremouse.tracker import Estimate
 
-_SHARE = 0.1  # of the largest part; less is not worth a word
+_MIN_SHARE = 0.1  # of the largest part; less is not worth a word
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Directions:
 
     def said(self, rate: Array) -> str:
         """Return a rate (3,) in words."""
-        least = max(self.least, _SHARE * float(np.max(np.abs(rate))))
+        least = max(self.least, _MIN_SHARE * float(np.max(np.abs(rate))))
         digits = 0 if self.least >= 1.0 else 2
         parts = [
             f"{words[value < 0.0]} {abs(value):.{digits}f} {self.unit}"

@@ -27,7 +27,7 @@ from spheremouse.tracker import Status
 _MAX_SECONDS = 2**32 - 1  # of a stamp in the well-known schemas
 _SCENE_PERIOD_S = 1.0  # between two scenes of the same discs, whose places the tracker refines
 _HALF_PIXEL = 0.5  # px from a pixel's centre, the origin of our axes, to its corner, that of Foxglove's
-_GAP = 0.02  # radii that a drawn disc stands out of the ball
+_DISC_GAP_RADII = 0.02  # radii that a drawn disc stands out of the ball
 _CIRCLE = np.stack([np.cos(t := np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)), np.sin(t)], axis=1)
 _COLOURS = {
     "outline": (1.0, 1.0, 1.0, 0.8),
@@ -332,7 +332,7 @@ def _disc(direction: Array, radius: float, disc_radius: float) -> Any:
     """Return a flat cylinder that covers the cap of a disc at a unit vector in ball axes."""
     m = _messages()
     inner = np.sqrt(max(radius**2 - disc_radius**2, 0.0))
-    height = (1.0 + _GAP) * radius - inner
+    height = (1.0 + _DISC_GAP_RADII) * radius - inner
     x = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     x /= np.linalg.norm(x)
     rotation = np.array([x, np.cross(direction, x), direction], dtype=float).T

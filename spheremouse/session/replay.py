@@ -15,7 +15,7 @@ from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.process import child
 
 _MAX_BYTES = 2 << 30  # of writable memory, with the stacks of the threads; 0.7 GB on two cores
-_POLL = 0.1  # s
+_POLL_S = 0.1  # s
 
 
 class ReplayProcess:
@@ -48,7 +48,7 @@ class ReplayProcess:
         while self._process.returncode is None:
             if await asyncio.to_thread(self._request_changes, changes):
                 return True
-            await asyncio.sleep(_POLL)
+            await asyncio.sleep(_POLL_S)
         return False
 
     def end(self) -> None:

@@ -19,7 +19,7 @@ from spheremouse.wand.axes import estimated_axes
 if TYPE_CHECKING:
     from rich.live import Live
 
-_REFRESH = 0.1  # s between two lines in the same place
+_REFRESH_INTERVAL_S = 0.1  # s between two lines in the same place
 _LINE_EVERY = 1.0  # s between two lines without a terminal
 
 
@@ -92,7 +92,7 @@ class StatusLine:
         if not self._wanted or now < self._due:
             return
         if self._live is not None:
-            self._due = now + _REFRESH
+            self._due = now + _REFRESH_INTERVAL_S
             self._live.update(status_lines(made, tally), refresh=True)
         else:
             self._due = now + _LINE_EVERY

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from spheremouse import __version__
 from spheremouse.capture import OpenCamera
-from spheremouse.capture.fetch import PATIENCE, Capture
+from spheremouse.capture.fetch import MAX_FRAME_GAP_S, Capture
 from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.capture.replay import Controls
 from spheremouse.capture.replay import Replay as PlayedRecording
@@ -56,11 +56,11 @@ from spheremouse.session.timing import NEXT_FRAME, Arrivals, CpuShare, SleepMoni
 from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
 
-_TICK = 0.25  # s; the longest wait for a frame
+_MAX_FRAME_WAIT_S = 0.25  # s; the longest wait for a frame
 _REQUEST_TIME = 0.01  # s; `set` takes 1 to 2 ms
-_EVERY = 1.0  # s between two checks of the files, and of the memory and processor in use
+_CHECK_INTERVAL_S = 1.0  # s between two checks of the files, and of the memory and processor in use
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
-_USELESS = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
+_MAX_UNUSABLE_S = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
 
 Show = Callable[[FrameResult, Report, TrackerAdapter], None]
 
@@ -104,7 +104,7 @@ class Daemon:
         )
         self._archive = Archive(self._workers, self._log)
         self._pictures = PictureFeed(self._log)
-        patience = PATIENCE if setup.replay is None else math.inf  # its user may pause it
+        patience = MAX_FRAME_GAP_S if setup.replay is None else math.inf  # its user may pause it
         self._capture = Capture(camera(plan), self._ring, self._log, patience)
         self._arrivals = Arrivals(patience)
         adapter = setup.adapter(plan, self._log, self._workers.do)
@@ -181,7 +181,7 @@ class Daemon:
         """Work on frames. Requests come after a frame or well before the next one, so that no frame waits for one."""
         now = time.monotonic()
         while not (stopping.asked or self._ending):
-            arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _TICK)
+            arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _MAX_FRAME_WAIT_S)
             now, finished = time.monotonic(), self._capture.finished
             if arrival is not None:
                 self._work(arrival, now)
@@ -255,13 +255,13 @@ class Daemon:
         self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
         self._log.flush()
         self._quiet.rest(now)
-        if now - self._checked_at < _EVERY:
+        if now - self._checked_at < _CHECK_INTERVAL_S:
             return
         self._checked_at = now
         self._pictures.expire(now)
         self._cpu.look(now)
         worker.look()
-        if worker.trouble and not capture.trouble and now - max(worker.good, self._reopened_at) > _USELESS:
+        if worker.trouble and not capture.trouble and now - max(worker.good, self._reopened_at) > _MAX_UNUSABLE_S:
             self._reopened_at = now
             capture.again()
         if self._reloader.outdated:

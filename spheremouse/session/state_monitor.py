@@ -62,7 +62,11 @@ def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> s
 
 
 _STATUS_EVERY = 20.0  # s between two lines for systemd without a change
-_UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
+_STATES_WITHOUT_BALL = (
+    State.NO_CAMERA,
+    State.SEARCHING_TARGETS,
+    State.LOST,
+)  # in which the ball may turn without being seen
 
 
 class StateMonitor:
@@ -90,7 +94,7 @@ class StateMonitor:
 
     def update(self, now: float) -> bool:
         """Update the state and log its changes; True if frames have just stopped."""
-        if self.state in _UNSEEN and self._seen_once:
+        if self.state in _STATES_WITHOUT_BALL and self._seen_once:
             self.unseen += now - self._updated
         self._updated = now
         before, (state, reason) = (self.state, self.reason), derive_state(self._conditions(now))

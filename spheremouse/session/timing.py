@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.capture.fetch import PATIENCE
+from spheremouse.capture.fetch import MAX_FRAME_GAP_S
 
 NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
 _SHORTEST_SLEEP = 0.1  # s
@@ -89,7 +89,7 @@ class SleepMonitor:
 class Arrivals:
     """Rate of the frames that arrive, and the time since the last one. `now` is s of the monotonic clock."""
 
-    def __init__(self, patience: float = PATIENCE) -> None:
+    def __init__(self, patience: float = MAX_FRAME_GAP_S) -> None:
         """`patience`, s, is the longest time that a camera may take."""
         self._times, self._last, self._patience = FrameTimes(), 0.0, patience
         self.begin()

@@ -40,9 +40,9 @@ Values = dict[str, Any]  # settings by dotted key
 _GROUPS = ("so3", "discs", "loss")
 _KINDS = ("number", "integer", "choice")
 _MIN_SECONDS = 4.0  # of a recording: each half needs three blocks and the start of the tracker
-_TRIVIAL = 0.01  # part of the loss; a setting that saves less goes back to its present value
-_HOPELESS = 3.0  # times the least loss: a trial that must exceed it ends early
-_START = 8  # random trials before the sampler models the loss
+_MIN_SAVED_FRACTION = 0.01  # part of the loss; a setting that saves less goes back to its present value
+_MAX_LOSS_RATIO = 3.0  # times the least loss: a trial that must exceed it ends early
+_RANDOM_TRIALS = 8  # random trials before the sampler models the loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +183,7 @@ def _search(
     except ImportError:
         raise ConfigurationError("tune: needs the package optuna", "pip install 'spheremouse[tune]'") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=_START))
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=_RANDOM_TRIALS))
     duration, end = objective.seconds, time.monotonic() + seconds
     described, least = tunable(settings), float(objective.present.mean())
     count = 0
@@ -191,7 +191,7 @@ def _search(
         trial = study.ask()
         values = {d["key"]: _suggested(trial, d, duration) for d in described}
         values = {d["key"]: values[d["key"]] for d in described if values[d["key"]] != d["value"]}
-        loss = float(objective.losses(values, _HOPELESS * least).mean())
+        loss = float(objective.losses(values, _MAX_LOSS_RATIO * least).mean())
         least = min(least, loss)
         study.tell(trial, loss)
         count += 1
@@ -219,7 +219,7 @@ def _pruned(objective: Objective, best: Values) -> tuple[Values, dict[str, float
         without = {k: v for k, v in best.items() if k != key}
         lost = float((objective.losses(without) if without else objective.present).mean())
         gain = 1.0 - loss / lost if lost > 0.0 else 0.0
-        if gain < _TRIVIAL:
+        if gain < _MIN_SAVED_FRACTION:
             best, loss = without, lost
         else:
             gains[key] = gain

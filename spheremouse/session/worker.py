@@ -13,8 +13,11 @@ from spheremouse.session.timing import FrameTimes
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, Status
 
-_FAULTS, _FAULTS_WITHIN = 5, 60.0  # internal errors in so many s that end the process; the service manager restarts it
-_DAMAGED = 1.0  # s of damaged frames alone that are reported
+_MAX_FAULTS, _FAULT_WINDOW_S = (
+    5,
+    60.0,
+)  # internal errors in so many s that end the process; the service manager restarts it
+_MAX_DAMAGED_S = 1.0  # s of damaged frames alone that are reported
 
 
 class Worker:
@@ -33,7 +36,7 @@ class Worker:
         self.lost = 0  # times
         self.good = time.monotonic()  # when a frame last could be used
         self._as_contiguous = ContiguousBuffer()
-        self._faults: deque[float] = deque(maxlen=_FAULTS)
+        self._faults: deque[float] = deque(maxlen=_MAX_FAULTS)
 
     def work(self, arrival: Arrival, colour: bool = False) -> FrameResult | None:
         """Track a raw frame; in `colour`, even if tracking needs none.
@@ -50,7 +53,7 @@ class Worker:
             made = self.adapter.follow(frame)
         except DamagedFrameError as e:
             self.damaged += 1
-            if begun - self.good > _DAMAGED:
+            if begun - self.good > _MAX_DAMAGED_S:
                 self.trouble = f"nothing but damaged frames for {begun - self.good:.0f} s ({e})"
         except SourceError as e:
             self.trouble, self.unfit = str(e), True
@@ -88,4 +91,4 @@ class Worker:
         self._log(internal_error_text())
         self.adapter.restart("an internal error; the ball is searched again")
         self._faults.append(now)
-        return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN
+        return len(self._faults) == _MAX_FAULTS and now - self._faults[0] < _FAULT_WINDOW_S

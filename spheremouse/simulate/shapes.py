@@ -14,7 +14,7 @@ from spheremouse.geometry.rotation import Array
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
 Vector = tuple[float, float, float]
 
-_STRIPES = 256  # maximum number of separate stripes on one face
+_MAX_STRIPES = 256  # maximum number of separate stripes on one face
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Face:
             return np.zeros(len(points), dtype=np.int64)
         along = self.corners[1] - self.corners[0]
         place = (points - self.corners[0]) @ along / np.linalg.norm(along) / self.stripes
-        return np.clip(place, 0, _STRIPES - 1).astype(np.int64)
+        return np.clip(place, 0, _MAX_STRIPES - 1).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,11 +23,11 @@ Message = dict[str, Any]
 Values = dict[str, Any]
 
 STATUS_INTERVAL = 0.5  # s
-_UNKNOWN = [None] * 3  # of a vector
-_RETRY = 0.5  # s between two attempts to connect
-_REST = 0.05  # s between two looks for samples, since each costs more than the samples
+_UNKNOWN_VECTOR = [None] * 3  # of a vector
+_RECONNECT_INTERVAL_S = 0.5  # s between two attempts to connect
+_SAMPLE_POLL_S = 0.05  # s between two looks for samples, since each costs more than the samples
 _LOG_LINES = 200
-_ROWS = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
+_MAX_SAMPLES = 1500  # samples kept for slow browsers: 10 s of two balls at 60 Hz
 _UNDO_STEPS = 100
 _REBUILD_INTERVAL = 0.1  # s between two changes of settings for which the daemon builds another tracker
 _SET_INTERVAL = 0.04  # s between two changes of others
@@ -56,7 +56,7 @@ class Daemon:
         self.trouble = ControlError("connecting to the daemon")  # why there is no status
         self.log: deque[str] = deque(maxlen=_LOG_LINES)
         self.count = 0  # samples since the start
-        self._rows: deque[list[Any]] = deque(maxlen=_ROWS)
+        self._rows: deque[list[Any]] = deque(maxlen=_MAX_SAMPLES)
         self._storing = threading.Lock()
         self._described = _Description(settings=[], scene=None, profiles={})
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
@@ -215,11 +215,11 @@ class Daemon:
                         else:
                             self._post(self._take, event)
                         if not client.has_received:
-                            time.sleep(_REST)
+                            time.sleep(_SAMPLE_POLL_S)
             except ControlError as e:
                 if socket is self.socket:
                     self._post(self._ended, e)
-                    time.sleep(_RETRY)
+                    time.sleep(_RECONNECT_INTERVAL_S)
 
     def _store(self, sample: Message) -> None:
         row = _row_of(sample)
@@ -261,9 +261,9 @@ def _row_of(sample: dict[str, Any]) -> list[Any]:
     counts, latency, discs, position. Unknown values are None. Units as in docs/samples.md.
     """
     covariance = sample.get("rate_covariance")
-    sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _UNKNOWN
+    sigma = [math.sqrt(max(0.0, covariance[k][k])) for k in range(3)] if covariance else _UNKNOWN_VECTOR
     return [
         sample["stamp"], sample["ball"], sample["confirmed"], *(sample.get("quaternion") or [None] * 4),
-        *(sample.get("rate") or _UNKNOWN), *sigma, *sample["counts"], sample.get("latency"),
-        sample.get("statistics", {}).get("discs_used"), *(sample.get("position") or _UNKNOWN),
+        *(sample.get("rate") or _UNKNOWN_VECTOR), *sigma, *sample["counts"], sample.get("latency"),
+        sample.get("statistics", {}).get("discs_used"), *(sample.get("position") or _UNKNOWN_VECTOR),
     ]  # fmt: skip

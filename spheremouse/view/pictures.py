@@ -12,11 +12,11 @@ from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.session.control.pictures import PictureReader
 
 INTERVAL = 1 / 15  # s between two pictures
-_RENEW = 1.0  # s between two renewals of the lease
-_REST = 0.9 * INTERVAL  # s after a picture, in which no other is looked for
-_POLL = 0.01  # s between two looks into the memory
-_LINGER = 1.0  # s after the last request, in which the lease is kept
-_RETRY = 0.5  # s after a failed lease
+_LEASE_RENEWAL_S = 1.0  # s between two renewals of the lease
+_PAUSE_AFTER_PICTURE_S = 0.9 * INTERVAL  # s after a picture, in which no other is looked for
+_MEMORY_POLL_S = 0.01  # s between two looks into the memory
+_LEASE_KEPT_S = 1.0  # s after the last request, in which the lease is kept
+_LEASE_RETRY_S = 0.5  # s after a failed lease
 
 
 class Pictures:
@@ -35,7 +35,7 @@ class Pictures:
 
     async def after(self, shown: JpegPicture | None, timeout: float) -> JpegPicture | None:
         """Return the first picture after `shown`; None if none comes within `timeout`, s."""
-        self._wanted_until = time.monotonic() + _LINGER
+        self._wanted_until = time.monotonic() + _LEASE_KEPT_S
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._read())
         with contextlib.suppress(TimeoutError):
@@ -51,7 +51,7 @@ class Pictures:
             try:
                 await self._read_under_lease()
             except ControlError:  # the link to the daemon reports it
-                await asyncio.sleep(_RETRY)
+                await asyncio.sleep(_LEASE_RETRY_S)
         self._latest = None
 
     async def _read_under_lease(self) -> None:
@@ -62,10 +62,10 @@ class Pictures:
                 if reader is None or now >= renew_at:
                     renewed = await asyncio.to_thread(client.pictures, INTERVAL)
                     number = number if renewed is reader else 0
-                    reader, renew_at = renewed, now + _RENEW
+                    reader, renew_at = renewed, now + _LEASE_RENEWAL_S
                 picture = reader.latest(number)
                 if picture is not None:
                     number, self._latest = picture.number, JpegPicture(picture)
                     self._arrived.set()
                     self._arrived = asyncio.Event()
-                await asyncio.sleep(_POLL if picture is None else _REST)
+                await asyncio.sleep(_MEMORY_POLL_S if picture is None else _PAUSE_AFTER_PICTURE_S)

@@ -48,7 +48,7 @@ _MAX_WAITING = 300  # messages for one browser
 _PICTURE_TIMEOUT = 0.5  # s; then `next` is answered without a picture
 _REQUEST_TIMEOUT = 5.0  # s in which a connection must request something
 _SEND_TIMEOUT = 30.0  # s in which a browser must read a message
-_LINGER = 3.0  # s after the last browser, in which the link to the daemon stays
+_LINK_KEPT_S = 3.0  # s after the last browser, in which the link to the daemon stays
 _SHOWN = ("number", "stamp", "width", "height", "annotations")  # of a picture
 _COOKIE_AGE = 365 * 86400  # s
 
@@ -110,7 +110,7 @@ class Page:
                 self._leaving = asyncio.create_task(self._rest())
 
     async def _rest(self) -> None:
-        await asyncio.sleep(_LINGER)
+        await asyncio.sleep(_LINK_KEPT_S)
         if not self.browsers:
             self.actions.recordings.end()
             self.daemon.set_watched(False)

@@ -12,9 +12,9 @@ import numpy as np
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, to_euler
 from spheremouse.tracker import Estimate
 
-_QUARTER = 0.5 * np.pi
+_QUARTER_TURN_RAD = 0.5 * np.pi
 _MIN_COS_PHI = 1e-6  # below, the angles are undefined
-UPRIGHT = from_euler(np.array([_QUARTER, 0.0, -_QUARTER]))  # R_cam_ball with yaw, pitch and roll 0
+UPRIGHT = from_euler(np.array([_QUARTER_TURN_RAD, 0.0, -_QUARTER_TURN_RAD]))  # R_cam_ball with yaw, pitch and roll 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Axes:
 def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
     """Return the axes of a pose, (3,) m in cam and R_cam_ball (3, 3), with covariance (6, 6) m, rad of `WandPose`."""
     omega, phi, kappa = to_euler(rotation)
-    angles = wrapped(np.array([-_QUARTER - kappa, omega - _QUARTER, phi]))
+    angles = wrapped(np.array([-_QUARTER_TURN_RAD - kappa, omega - _QUARTER_TURN_RAD, phi]))
     if np.cos(phi) > _MIN_COS_PHI:
         J = np.linalg.inv(euler_rate_matrix(np.array([omega, phi, kappa])))
         variance = np.diag(J @ covariance[3:, 3:] @ J.T)[[2, 0, 1]]
@@ -48,7 +48,7 @@ def estimated_axes(estimate: Estimate) -> Axes:
 def attitude(angles: Array) -> Array:
     """Return R_cam_ball, (3, 3), from yaw, pitch and roll, (3,) rad."""
     yaw, pitch, roll = angles
-    return from_euler(np.array([pitch + _QUARTER, roll, -_QUARTER - yaw]))
+    return from_euler(np.array([pitch + _QUARTER_TURN_RAD, roll, -_QUARTER_TURN_RAD - yaw]))
 
 
 def wrapped(angles: Array) -> Array:

@@ -31,13 +31,13 @@ _HUE_MARGIN = 8.0  # deg around the measured hues: light varies more than in one
 _INNER_RADIUS = 0.93  # of the ball's: edge pixels mix with the background
 _MIN_RADIUS = 8.0  # px, of a ball that the search finds
 _MAX_RADIUS = 0.45  # of the picture's shorter side, the same
-_SATURATIONS = (95.0, 150.0)  # of 255, least of discs in white light, and in light that colours all of the picture
+_MIN_SATURATIONS = (95.0, 150.0)  # of 255, least of discs in white light, and in light that colours all of the picture
 _WIDE_HUE = 24.0  # deg around the hue of a name
 _MIN_VALUE = 15.0  # normalised brightness of a disc
 _MAX_SEARCHES = 12  # each of as many assignments of spots to discs as the tracker tries in a frame
-_DARK = 40.0  # of 255, mean brightness of a dark picture
+_MAX_DARK_BRIGHTNESS = 40.0  # of 255, mean brightness of a dark picture
 _MAX_FRACTION = 0.5  # of the picture: bounds that select more are useless
-_NEGLIGIBLE = 0.02  # fraction of the pixels beside the ball, or of the discs
+_NEGLIGIBLE_FRACTION = 0.02  # fraction of the pixels beside the ball, or of the discs
 _OUTER_RADIUS = 1.15  # of the ball's: beyond is the background
 _MARKS = {"red": (60, 60, 255), "blue": (255, 90, 40), "dark": (255, 0, 255), "light": (255, 0, 255)}  # BGR
 
@@ -62,7 +62,7 @@ class PickedBounds:
 
     def stray_colours(self) -> list[str]:
         """Return the colours that select more than a negligible part of the background."""
-        return [name for name, fraction in self.outside.items() if fraction > _NEGLIGIBLE]
+        return [name for name, fraction in self.outside.items() if fraction > _NEGLIGIBLE_FRACTION]
 
 
 def pick_bounds(image: NDArray[np.uint8], ball: WandBall, circle: Circle | None = None) -> PickedBounds:
@@ -145,7 +145,7 @@ def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
     distances = WandSettings(
         nearest=ball.radius * focal / (_MAX_RADIUS * min(h, w)), farthest=ball.radius * focal / _MIN_RADIUS
     )
-    for saturation in _SATURATIONS:
+    for saturation in _MIN_SATURATIONS:
         bounds = {name: _wide_bounds(name, saturation) for name in ball.colours}
         tracker = build(camera, (ball,), distances, bounds)
         state = begin(tracker)
@@ -175,7 +175,7 @@ def _wide_bounds(name: str, saturation: float) -> ColourSettings:
 def _advice(image: NDArray[np.uint8]) -> str:
     """Return the beginning of an advice about a dark picture, or an empty string."""
     brightness = picture_colours(image, DEFAULT_COLOURS, ("light",)).mean
-    if brightness < _DARK:
+    if brightness < _MAX_DARK_BRIGHTNESS:
         return f"the picture is dark (mean brightness {brightness:.0f} of 255): give more light or a longer exposure, "
     return ""
 
@@ -261,7 +261,7 @@ def _narrow(loosest: float, disc: Array, rest: Array, pixels: int) -> float:
     left_out = np.searchsorted(disc, bounds) / len(disc)
     selected = 1.0 - np.searchsorted(rest, bounds) / max(len(rest), 1)
     wrong = left_out + selected * len(rest) / max(pixels, 1)
-    good = np.flatnonzero(wrong <= wrong.min() + _NEGLIGIBLE)
+    good = np.flatnonzero(wrong <= wrong.min() + _NEGLIGIBLE_FRACTION)
     return loosest if good[0] == 0 else float(0.5 * (bounds[good[0]] + bounds[good[-1]]))
 
 

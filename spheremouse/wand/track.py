@@ -72,7 +72,7 @@ _DOUBTFUL_EVIDENCE = 0.85  # of the track's evidence: below, spots are tried bes
 _SUFFICIENT_EVIDENCE = 0.5  # of the track's evidence: a predicted pose with as much is near the right peak
 _EVIDENCE_DECAY = 3.0  # s, of a lost ball's evidence: it can return farther away, or half hidden
 _EVIDENCE_GAIN = 0.2  # the evidence follows the ball's rotation within five frames
-_BLIND = 0.1  # fraction of the particles drawn without the peaks
+_FRACTION_WITHOUT_PEAKS = 0.1  # fraction of the particles drawn without the peaks
 _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area to a tenth
 _PREDICTED_POSES = 48  # predicted particles from which peaks are refined
 _REPORT_AGE = 1.0 - 1e-6  # of a colour problem: the parts of a second that frames add up to are inexact
@@ -246,7 +246,7 @@ def _filter(
 ) -> _Average:
     """Draw `count` particles from motions and peaks, weigh and average them."""
     peaks = proposals(modes)
-    drawn, log_ratio, nearest = propose(particles, motions, peaks, _BLIND, count, rng)
+    drawn, log_ratio, nearest = propose(particles, motions, peaks, _FRACTION_WITHOUT_PEAKS, count, rng)
     weighted_as = _weighted_as(drawn, peaks, nearest)
     value = _log_likelihoods(drawn.position, drawn.rotation, nearest, weighted_as, modes, m)
     weight, _ = normalise(log_ratio + value)

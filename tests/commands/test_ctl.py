@@ -391,7 +391,7 @@ def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it
 
 def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypatch):
     """One deadline holds for the whole reply."""
-    monkeypatch.setitem(client_module._TIMEOUTS, "status", 0.3)
+    monkeypatch.setitem(client_module._TIMEOUTS_S, "status", 0.3)
     ended = threading.Event()
 
     def drip(listener):

@@ -74,7 +74,7 @@ def test_what_a_killed_writer_left_is_removed_by_the_next_writing_once_it_is_old
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=60, check=False)
     assert done.returncode == -signal.SIGKILL
     (left,) = (p for p in tmp_path.iterdir() if p != other)
-    for age, there in ((0.0, {path, left, other}), (2 * safe_files.OLD, {path, other})):
+    for age, there in ((0.0, {path, left, other}), (2 * safe_files.MIN_LEFTOVER_AGE_S, {path, other})):
         then = time.time() - age
         os.utime(left, (then, then))
         os.utime(other, (then, then))

@@ -19,7 +19,7 @@ from spheremouse.tracker import Status
 @pytest.fixture(params=["csv", "parquet"])
 def kind(request, monkeypatch):
     """Write each row at once, and two to a row group."""
-    monkeypatch.setattr(table, "_PERIOD", 0.0)
+    monkeypatch.setattr(table, "_WRITE_INTERVAL_S", 0.0)
     if request.param == "parquet":
         pytest.importorskip("pyarrow")
         monkeypatch.setattr(parquet, "_GROUP_BATCHES", 2)

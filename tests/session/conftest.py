@@ -17,8 +17,8 @@ def quick_daemon(monkeypatch):
 
     def run(world, open_output):
         monkeypatch.setattr(open_output, world.open_output)
-        monkeypatch.setattr(service, "_TICK", 0.02)
-        monkeypatch.setattr(service, "_EVERY", 0.1)
+        monkeypatch.setattr(service, "_MAX_FRAME_WAIT_S", 0.02)
+        monkeypatch.setattr(service, "_CHECK_INTERVAL_S", 0.1)
         monkeypatch.setattr(fetch, "BACK_OFF", (0.01, 0.02))
         monkeypatch.setattr(reporter, "RETRY_DELAYS", (0.01, 0.02))
         monkeypatch.setattr(reporter, "MAX_QUEUE_TIME", PATIENCE)

@@ -260,8 +260,8 @@ def test_a_camera_that_goes_stops_the_pointer_at_once(playing):
 )
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
     world = playing
-    monkeypatch.setattr(run_module, "_USELESS", 0.2)
-    monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
+    monkeypatch.setattr(run_module, "_MAX_UNUSABLE_S", 0.2)
+    monkeypatch.setattr("spheremouse.session.worker._MAX_DAMAGED_S", 0.05)
     opened = world.opened
     world.fault = fault
     world.reach("no-camera")
@@ -803,7 +803,7 @@ def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(world, m
     heard = []
     monkeypatch.setattr("sdnotify.SystemdNotifier.notify", lambda _, text: heard.append(text))
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
-    monkeypatch.setattr(run_module, "PATIENCE", 0.3)
+    monkeypatch.setattr(run_module, "MAX_FRAME_GAP_S", 0.3)
 
     def fed():
         heard.clear()

@@ -370,7 +370,7 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
 
 @pytest.mark.slow
 def test_a_replay_ends_with_the_last_browser(world, page, clip, monkeypatch):
-    monkeypatch.setattr(server_module, "_LINGER", 0.1)
+    monkeypatch.setattr(server_module, "_LINK_KEPT_S", 0.1)
     with Browser(page) as browser:
         browser.until("status", lambda m: m["status"])
         replay = replayed(browser, clip)

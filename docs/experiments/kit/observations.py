@@ -25,7 +25,7 @@ _CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array
 _INTERIOR_SIGMA = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 4e-3, 5e-5, 5e-5, 5e-3])  # as fifteen photos of a board leave it
 _SIGMA, _TAPE = 0.05, 0.001  # px of an image point, m
 _AZIMUTH, _HEIGHT = np.radians([0, -40, 40, -15, 20, 30]), np.radians([5, 10, 0, 35, -10, 30])
-_LEAST = 0.35  # cosine at which a disc is still seen
+_MIN_COSINE = 0.35  # cosine at which a disc is still seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ def _in_view(poses: tuple[Pose, ...], directions: Array) -> tuple[NDArray[np.int
     """Return which photo shows which point: all targets, and the discs that face the camera in two photos."""
     away = np.array([p.position for p in poses])[:, None] - _RADIUS * directions
     cosine = np.sum(away * directions, axis=2) / np.linalg.norm(away, axis=2)
-    sees = cosine > _LEAST
+    sees = cosine > _MIN_COSINE
     sees &= np.sum(sees, axis=0) >= 2
     photo, disc = np.nonzero(sees)
     n = len(poses)

@@ -38,7 +38,7 @@ TRACKBALL = Trackball(
 )
 
 _STEP = 0.005  # s, between the lags that are tried
-_MOST = 0.5  # s, to either side
+_MAX_LAG_S = 0.5  # s, to either side
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def agreement(begin: Array, end: Array, moved: Array, mouse: MouseLog) -> Agreem
     counts, dt = CountPath.from_log(mouse), (end - begin)[:, None]
     speed = moved / dt
     best: Agreement | None = None
-    for lag in np.arange(-_MOST, _MOST + 0.5 * _STEP, _STEP):
+    for lag in np.arange(-_MAX_LAG_S, _MAX_LAG_S + 0.5 * _STEP, _STEP):
         known = (begin + lag >= mouse.stamp[0]) & (end + lag <= mouse.stamp[-1])
         if np.count_nonzero(known) < 0.5 * len(known):
             continue

@@ -18,10 +18,13 @@ from spheremouse.simulate.light import develop
 from spheremouse.simulate.shapes import Colour
 
 _MARGIN = 1.22  # outer radii from the middle of a sheet to its edge, as the cards of `furniture.frame`
-_FINE = 144  # rays in a pixel
+_RAYS_PER_PIXEL = 144  # rays in a pixel
 # The R2 sequence (Roberts 2018): no two rays in a row or a column, so that an edge along either is cut as finely as
 # there are rays.
-_WITHIN = np.mod(0.5 + np.outer(np.arange(1, _FINE + 1), 1.0 / 1.324717957244746 ** np.array([1.0, 2.0])), 1.0) - 0.5
+_WITHIN = (
+    np.mod(0.5 + np.outer(np.arange(1, _RAYS_PER_PIXEL + 1), 1.0 / 1.324717957244746 ** np.array([1.0, 2.0])), 1.0)
+    - 0.5
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +91,9 @@ def _paint(out: NDArray[np.float32], scene: Scene, sheet: Sheet) -> None:
     uv = np.stack([u, v], axis=1).astype(float)
     fine, depth = _on_plane((uv[:, None] + _WITHIN).reshape(-1, 2), scene, sheet)
     on = (np.abs(fine[:, :2]).max(axis=1) <= sheet.half) & (depth > 0.0)  # nan compares false
-    colour = np.where(on, sheet.colour_at(np.nan_to_num(fine[:, :2])), len(sheet.palette)).reshape(len(u), _FINE)
+    colour = np.where(on, sheet.colour_at(np.nan_to_num(fine[:, :2])), len(sheet.palette)).reshape(
+        len(u), _RAYS_PER_PIXEL
+    )
     middle, _ = _on_plane(uv, scene, sheet)
     light = scene.lighting.on_room(sheet.centre + np.nan_to_num(middle), np.broadcast_to(FRONT, middle.shape))
     mixed = np.mean(colour == len(sheet.palette), axis=1)[:, None] * out[v, u]

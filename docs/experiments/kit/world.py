@@ -26,7 +26,7 @@ WRONG = 3.0  # °, by which what was turned within HOLD may be off
 HOLD = 0.4  # s, for which a rate has to be followed
 NOISE = 3.0  # grey values
 _RIM = 12  # points of a disc's rim that are looked at
-_LEAST = 12.0  # px², of a disc that is seen
+_MIN_AREA_PX2 = 12.0  # px², of a disc that is seen
 _FLOOR, _SMALL = 0.03, 2.0  # px and px³: a centre is off by 0.03 px, and by 2 px³ over its area, as the detector says
 
 
@@ -54,7 +54,7 @@ class World:
         a = uv[:, 1:] - uv[:, :1]
         b = np.roll(a, -1, axis=1)
         area = 0.5 * np.abs(np.sum(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], axis=1))
-        keep = free.all(axis=1) & (area >= _LEAST)
+        keep = free.all(axis=1) & (area >= _MIN_AREA_PX2)
         sigma = np.hypot(_FLOOR, _SMALL / area[keep])
         centre = uv[keep, 0] + sigma[:, None] * rng.standard_normal((len(sigma), 2))
         return Detections(centre, sigma[:, None, None] ** 2 * np.eye(2), area[keep])

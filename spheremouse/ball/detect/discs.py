@@ -41,13 +41,17 @@ from spheremouse.native import kernels
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
+_MIN_COARSE_DISC_PX = (
+    4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
+)
 _NOISE_EVERY = 16  # frames: the light changes slowly
 _MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
-_FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
+_MAX_SEARCHED_DISC_PX = (
+    14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
+)
 
 _MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a fifth smaller
-_FINEST = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
+_MIN_SIGMA_FRACTION = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
 _MIN_GAIN_OVER_GREY = 1.4  # of signal over noise, squared, for Fisher's weights; they have 1.34 times grey's on white
 _MIN_INFORMATION = 0.02  # discs: stains give less information
 _NO_DISCS = np.zeros((0, 3))
@@ -190,7 +194,7 @@ class DiscDetector:
         """Return the information about the centres of the discs in an image, in noise-free discs."""
         sigma = self.settings.sigma  # of each covariance, a constant part
         noise = np.maximum(0.5 * np.trace(self.detect(image).covariance, axis1=1, axis2=2) - sigma**2, 0.0)
-        finest = (_FINEST * sigma) ** 2
+        finest = (_MIN_SIGMA_FRACTION * sigma) ** 2
         return float(np.sum(finest / (finest + noise)))
 
     def noise(self, image: Image) -> float:
@@ -273,7 +277,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
     ):
         return replace(before, settings=settings, model=before.model._replace(fit=fit, min_area=settings.min_area))
     diameter = largest_disc(rig, pose)
-    f = max(int(np.rint(diameter / _FINE)), 1)
+    f = max(int(np.rint(diameter / _MAX_SEARCHED_DISC_PX)), 1)
     mask = unmasked(clear_mask(rig, pose), settings.masks)
     if not mask.any():
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
@@ -296,7 +300,7 @@ def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.b
     if reduction == 1:
         return np.zeros(mask.shape, dtype=np.bool_)
     radius = 0.5 * diameter / np.sin(rig.disc_angle)  # px, of the ball
-    cosine = min(_SHOWN * reduction / diameter, 1.0)
+    cosine = min(_MIN_COARSE_DISC_PX * reduction / diameter, 1.0)
     depth = radius * (1.0 - np.sqrt(1.0 - cosine**2))  # px from the limb
     return cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_5) < depth
 

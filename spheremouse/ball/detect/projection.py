@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.geometry.rotation import Array
 
-_CORE, _AROUND = 0.5, (1.5, 2.2)  # in radii of a disc: pixels of the disc and of the ball around it, without the rim
+_CORE_RADII, _SURROUND_RADII = (
+    0.5,
+    (1.5, 2.2),
+)  # in radii of a disc: pixels of the disc and of the ball around it, without the rim
 _MIN_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
 _MIN_DISCS = 3
 _ROW_STEP = 4  # the noise is measured in every fourth row
@@ -141,11 +144,13 @@ def _noise_covariance(image: Image, mask: Image) -> Array:
 
 def _core_and_ring(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
     """Return the colours of a disc's pixels, (n, 3), and of the ball around it, (m, 3)."""
-    half = int(np.ceil(_AROUND[1] * radius)) + 1
+    half = int(np.ceil(_SURROUND_RADII[1] * radius)) + 1
     u, v = round(centre[0]), round(centre[1])
     top, left = max(v - half, 0), max(u - half, 0)
     patch = image[top : v + half + 1, left : u + half + 1].astype(float)
     y, x = np.mgrid[top : top + patch.shape[0], left : left + patch.shape[1]]
     distance = np.hypot(x - centre[0], y - centre[1]) / radius
     on_ball = mask[top : v + half + 1, left : u + half + 1] > 0
-    return patch[on_ball & (distance < _CORE)], patch[on_ball & (distance > _AROUND[0]) & (distance < _AROUND[1])]
+    return patch[on_ball & (distance < _CORE_RADII)], patch[
+        on_ball & (distance > _SURROUND_RADII[0]) & (distance < _SURROUND_RADII[1])
+    ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import (
-    MOST,
+    MAX_COPIES,
     RingSettings,
     Spots,
     TargetDetections,
@@ -25,11 +25,11 @@ from spheremouse.ball.detect.rings import (
 from spheremouse.ball.rig import COLOURS
 from spheremouse.geometry.rotation import Array
 
-_SMALLEST = 0.5  # px, least radius of an inner disc: smaller ones are less than a pixel wide
-_MIXED = 2.0  # px, radius of an inner disc below which few of its pixels have its colour alone
-_RATIO = 3.0  # by which proportions may be wrong: a ring would be as wide as all of the target
-_HUES = 12  # of OpenCV's 180: neighbours are 60 apart
-_PALE = 25  # saturation and value below which a colour is the noise of grey
+_MIN_INNER_RADIUS_PX = 0.5  # px, least radius of an inner disc: smaller ones are less than a pixel wide
+_MIN_PURE_RADIUS_PX = 2.0  # px, radius of an inner disc below which few of its pixels have its colour alone
+_MAX_PROPORTION_ERROR = 3.0  # by which proportions may be wrong: a ring would be as wide as all of the target
+_MAX_HUE_DIFFERENCE = 12  # of OpenCV's 180: neighbours are 60 apart
+_MAX_PALE_VALUE = 25  # saturation and value below which a colour is the noise of grey
 
 
 class Bound(StrEnum):
@@ -65,7 +65,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     for bound, wider in (
         (Bound.EDGES, settings),
         (Bound.CENTRE, replace(settings, concentric=1.0)),
-        (Bound.RATIO, replace(settings, ratio=max(settings.ratio, _RATIO))),
+        (Bound.RATIO, replace(settings, ratio=max(settings.ratio, _MAX_PROPORTION_ERROR))),
     ):
         nests = candidates_of(spots, proportion, wider, image.shape)[0]
         for nest in sorted(nests, key=lambda nest: -nest.area):  # rings within one are not another
@@ -73,7 +73,9 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     for bound, wider in _widened(settings):
         more = detect_targets(image, radii, wider)
         for code, centre, radius in zip(more.codes, more.centre, more.radius, strict=True):
-            found.add(code, centre, float(radius), Bound.SIZE if radius * proportion[0] < _MIXED else bound)
+            found.add(
+                code, centre, float(radius), Bound.SIZE if radius * proportion[0] < _MIN_PURE_RADIUS_PX else bound
+            )
     for code, centre, radius in _pairs(spots, proportion, settings):
         found.add(code, centre, radius, Bound.COLOURS)
     return tuple(found.refused)
@@ -95,10 +97,15 @@ class _Places:
 
 def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
     hues = {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
-    hues = {name: (max(low - _HUES, 0), min(high + _HUES, 180)) for name, (low, high) in hues.items()}
-    pale = replace(s, saturation=(min(s.saturation[0], _PALE), 255), value=(min(s.value[0], _PALE), 255))
+    hues = {
+        name: (max(low - _MAX_HUE_DIFFERENCE, 0), min(high + _MAX_HUE_DIFFERENCE, 180))
+        for name, (low, high) in hues.items()
+    }
+    pale = replace(
+        s, saturation=(min(s.saturation[0], _MAX_PALE_VALUE), 255), value=(min(s.value[0], _MAX_PALE_VALUE), 255)
+    )
     return (
-        (Bound.SIZE, replace(s, min_radius=min(s.min_radius, _SMALLEST))),
+        (Bound.SIZE, replace(s, min_radius=min(s.min_radius, _MIN_INNER_RADIUS_PX))),
         (Bound.LIGHT, pale),
         (Bound.HUE, replace(s, **hues)),
     )
@@ -119,4 +126,4 @@ def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -
         for share in (proportion[1], proportion[0] / proportion[1], proportion[0]):
             _, around = within(spots[inner], spots[outer], large, float(share), settings)
             found += [(inner + outer, spots[outer].centre[k], float(spots[outer].radius[k])) for k in np.unique(around)]
-    return sorted(found, key=lambda pair: -pair[2])[: 3 * MOST]
+    return sorted(found, key=lambda pair: -pair[2])[: 3 * MAX_COPIES]

@@ -18,12 +18,12 @@ from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import param
 
-MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
-_PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
+MAX_COPIES = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
+_MAX_MEASURED_PICTURE_AREAS = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
 _MEDIAN_PX = 3  # width of the median filter of a picture; it removes salt and keeps thin rings
 _OPENING_PX = 3  # width of the opening of a colour's mask; not more than a ring is wide
 _FEW_PAIRS = 1 << 16  # of spots, all compared: in 2 ms
-_BAND = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
+_EDGE_BAND_HALF_WIDTH_PX = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +102,16 @@ def detect_targets(image: Image, radii: Array, settings: RingSettings) -> Target
     """Return all targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
     The detector ignores single discs, rings within rings of two colours, and nested circles that are not concentric or
-    not in proportion. Of more than `MOST` candidates with one code, it measures the best. If all together are larger
-    than two images, it measures the smallest, and a flag reports this.
+    not in proportion. Of more than `MAX_COPIES` candidates with one code, it measures the best. If all together are
+    larger than two images, it measures the smallest, and a flag reports this.
     """
     proportion = np.asarray(radii, dtype=float) / radii[-1]
     candidates, crowded = candidates_of(spots_of(image, settings), proportion, settings, image.shape)
     areas = np.array([c.area for c in candidates])
     smaller = np.argsort(areas, kind="stable")
-    room = np.cumsum(areas[smaller]) <= _PICTURES * image.shape[0] * image.shape[1]  # as many as possible
+    room = (
+        np.cumsum(areas[smaller]) <= _MAX_MEASURED_PICTURE_AREAS * image.shape[0] * image.shape[1]
+    )  # as many as possible
     measured = [(c, _measure(image, c, proportion)) for c in (candidates[k] for k in np.sort(smaller[room]))]
     seen = [(c, *m) for c, m in measured if m is not None]
     return TargetDetections(
@@ -129,7 +131,7 @@ def spots_of(image: Image, settings: RingSettings) -> dict[str, Spots]:
 def candidates_of(
     spots: dict[str, Spots], proportion: Array, settings: RingSettings, shape: tuple[int, ...]
 ) -> tuple[list[Candidate], bool]:
-    """Return spots in one another, as a target's are, and whether there were more than `MOST`.
+    """Return spots in one another, as a target's are, and whether there were more than `MAX_COPIES`.
 
     `proportion` (2,) has the radii of inner disc and middle ring over that of the outer one. `shape` is the picture's.
     """
@@ -176,7 +178,7 @@ def _nests(
 ) -> tuple[NDArray[np.intp], bool]:
     """Outer circles of the triples (inner, middle, outer) that lie in one another, concentric and in proportion.
 
-    The best of each place, best first, and whether there were more than `MOST`.
+    The best of each place, best first, and whether there were more than `MAX_COPIES`.
     """
     inner, middle, outer = layers
     least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
@@ -189,7 +191,7 @@ def _nests(
     left = np.flatnonzero(np.isfinite(misfit))
     left = left[np.argsort(misfit[left], kind="stable")]
     best = left[suppress(outer.centre[left], outer.radius[left])]  # a hole's outline repeats its ring's
-    return best[:MOST], len(best) > MOST
+    return best[:MAX_COPIES], len(best) > MAX_COPIES
 
 
 def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
@@ -288,7 +290,7 @@ def _measure(image: Image, nest: Candidate, proportion: Array) -> tuple[Array, f
         for k, edge in enumerate(edges):
             ring_in = edge - (edges[k - 1] if k else 0.0)
             ring_out = edges[k + 1] - edge if k < 2 else np.inf
-            width = min(_BAND, ring_in / 3, ring_out / 3)
+            width = min(_EDGE_BAND_HALF_WIDTH_PX, ring_in / 3, ring_out / 3)
             inside = (rho < edge - width) & (rho > (edge - 2 * width if k else -1.0))
             outside = (rho > edge + width) & (rho < edge + 2 * width)
             if np.count_nonzero(inside) < 4 or np.count_nonzero(outside) < 4:

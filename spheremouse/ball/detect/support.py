@@ -15,7 +15,9 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscDetector
 
 _NOISE_LINES = 16  # by which the detector measures the noise
-_FIT = 4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
+_FIT_BLOCK_PX = (
+    4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
+)
 
 
 def disc_support(detector: DiscDetector, clipped: bool) -> Image:
@@ -25,7 +27,7 @@ def disc_support(detector: DiscDetector, clipped: bool) -> Image:
     closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
     smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1
     wide = grown(detector.model.mask, f * (closing + smoothing + 1))
-    mask = grown(detector.model.mask, f * _FIT)
+    mask = grown(detector.model.mask, f * _FIT_BLOCK_PX)
     if clipped:
         mask[detector.window] |= wide[detector.window]
     else:

@@ -28,7 +28,7 @@ from spheremouse.geometry.rotation import (
     to_euler,
 )
 
-_ROUNDED = 1e-12  # rad: what an attitude loses on its way to angles and back
+_ROUNDING_RAD = 1e-12  # rad: what an attitude loses on its way to angles and back
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class EulerState:
         The publication gives no correlation between the errors of two attitudes, so they count as independent. A zero
         turn is the start of an increment and has no error.
         """
-        if turn @ turn < _ROUNDED**2:
+        if turn @ turn < _ROUNDING_RAD**2:
             P = self.covariance
             P[:3] = P[:, :3] = 0.0
             return P

@@ -46,8 +46,8 @@ _MAX_START_RESIDUAL = 1.0  # px
 _MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares by half a per cent
 _SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
 _SIGNIFICANCE = 0.01  # chance of a contradiction between views that agree
-_DRAWS = 1000
-_ROUNDS = 6  # of removing false corners and estimating variances
+_MONTE_CARLO_DRAWS = 1000
+_MAX_ROUNDS = 6  # of removing false corners and estimating variances
 
 
 def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5) -> BoardAdjustment:
@@ -213,7 +213,7 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
         except np.linalg.LinAlgError:
             raise CalibrationError(UNDETERMINED) from None
 
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         part, y, residual, J, Q = adjusted(y)
         rows, blocks = np.arange(len(residual)), redundancy(J, Q, 2)
         number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
@@ -300,7 +300,7 @@ def contradiction(N: Array, g: Array) -> float:
     rng = np.random.default_rng(0)
     value, vector = np.linalg.eigh(normals)
     root = vector * np.sqrt(np.maximum(value, 0.0))[:, None]
-    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_DRAWS, len(normals), nine)))
+    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_MONTE_CARLO_DRAWS, len(normals), nine)))
     common = np.linalg.solve(total, drawn.sum(axis=1).T).T
     drawn -= np.einsum("vij,dj->dvi", normals, common)
     expected = _scatter(drawn, without, total)

@@ -17,12 +17,12 @@ from spheremouse.calibrate.board import Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 
-SEARCHED = 2.0e6  # px; larger images are reduced to it for the search
-_WINDOW = 0.25  # of the way to the next corner: a window turned by 45° still holds no other edge
+MAX_SEARCHED_PX = 2.0e6  # px; larger images are reduced to it for the search
+_WINDOW_PER_SPACING = 0.25  # of the way to the next corner: a window turned by 45° still holds no other edge
 _PLANE_WINDOW = 1.0 / 3.0  # of a square, half a side of a window in the board's plane: no blur of the next edge
-_SMOOTHING = 1.0  # px, standard deviation, for the direction of an edge
+_SMOOTHING_SIGMA_PX = 1.0  # px, standard deviation, for the direction of an edge
 _MAX_ITERATIONS = 15
-_CONVERGED = 1e-3  # px
+_CONVERGENCE_PX = 1e-3  # px
 _MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side
 _MAX_MOTION = 0.5  # half-windows of a corner; beyond, another edge attracts it
 _MIN_SIDE = 3  # corners of the smallest board
@@ -39,7 +39,7 @@ class Sighting:
     markers: int = 0  # ChArUco markers seen
 
 
-def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEARCHED) -> Sighting:
+def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = MAX_SEARCHED_PX) -> Sighting:
     """Find the corners of a board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none.
 
     The search for a chessboard uses an image reduced to `searched` px, the measurement the image itself.
@@ -109,7 +109,7 @@ def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
         for part in (slice(None, -1), slice(1, None)):
             where = (part, slice(None)) if axis == 0 else (slice(None), part)
             gaps[where] = np.minimum(gaps[where], step)
-    windows = np.clip((_WINDOW * gaps).astype(int), _MIN_WINDOW, _MAX_WINDOW).ravel()
+    windows = np.clip((_WINDOW_PER_SPACING * gaps).astype(int), _MIN_WINDOW, _MAX_WINDOW).ravel()
     start = grid.reshape(-1, 2).astype(np.float32)
     uv = np.empty((len(start), 2))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
@@ -203,7 +203,7 @@ def _fitting(
 
 def _gradient(grey: NDArray[np.uint8]) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
     """Gradients along u and v, smoothed: unsmoothed differences at a sharp edge are biased to the pixel grid."""
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING)
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA_PX)
     return cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)
 
 
@@ -243,7 +243,7 @@ def _where_gradients_meet(
         corner = corner + step
         corner[np.abs(corner - start).max(axis=1) > 0.5 * reach] = np.nan
         moved = np.abs(step).max(axis=1) / pixel  # m over m in a pixel
-        if np.all(~(moved > _CONVERGED)):
+        if np.all(~(moved > _CONVERGENCE_PX)):
             break
     return corner
 

@@ -11,7 +11,7 @@ import numpy as np
 from spheremouse.geometry.rotation import Array, fibonacci_sphere, hat
 from spheremouse.simulate.ball.scene import spread_directions
 
-_CANDIDATES = 20
+_CANDIDATE_LAYOUTS = 20
 _CAMERA_DIRECTIONS = 5000
 
 
@@ -37,7 +37,7 @@ def choose_directions(n: int, view_angle: float, min_distance: float, seed: int)
     give the same directions. Raises ValueError if so many discs do not fit.
     """
     rng = np.random.default_rng(seed)
-    candidates = [spread_directions(n, min_distance, rng) for _ in range(_CANDIDATES)]
+    candidates = [spread_directions(n, min_distance, rng) for _ in range(_CANDIDATE_LAYOUTS)]
     chosen = max(candidates, key=lambda d: (min_in_view(d, view_angle), nearest(d)[0]))
     _, (pole, neighbour) = nearest(chosen)
     z = chosen[pole]

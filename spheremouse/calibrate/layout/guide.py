@@ -18,8 +18,8 @@ from spheremouse.geometry.rotation import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_RIM = 56.0  # mm of paper, radius of a hemisphere
-_WIDTH = 180.0  # mm
+_HEMISPHERE_RADIUS_MM = 56.0  # mm of paper, radius of a hemisphere
+_DRAWING_WIDTH_MM = 180.0  # mm
 _POINTS_PER_MM = 72.0 / 25.4
 
 
@@ -66,7 +66,7 @@ def write_guide(path: Path, layout: Layout) -> None:
 
 def _drawn_radius(layout: Layout) -> float:
     """Drawn radius of discs in m: their own, or that of a pencil's point if it is larger."""
-    return max(layout.disc_radius, 0.9 / _RIM * 0.5 * np.pi * layout.radius)
+    return max(layout.disc_radius, 0.9 / _HEMISPHERE_RADIUS_MM * 0.5 * np.pi * layout.radius)
 
 
 def _halves(layout: Layout) -> "Figure":
@@ -81,15 +81,20 @@ def _halves(layout: Layout) -> "Figure":
     names = [f"{r:.0f}" for r in spokes]
     lower_names = [name if np.cos(r / mm) < 0.85 else "" for r, name in zip(spokes, names, strict=True)]
     rings = np.arange(step, 2.0 * quarter, step)
-    diameter = 2e3 * _drawn_radius(layout) * _RIM / quarter * _POINTS_PER_MM
+    diameter = 2e3 * _drawn_radius(layout) * _HEMISPHERE_RADIUS_MM / quarter * _POINTS_PER_MM
     x, y, z = layout.directions.T
     azimuth, polar = np.arctan2(y, x), np.arccos(np.clip(z, -1.0, 1.0)) * mm
-    width, height = _WIDTH, 4.0 * _RIM + 26.0
+    width, height = _DRAWING_WIDTH_MM, 4.0 * _HEMISPHERE_RADIUS_MM + 26.0
     figure = Figure(figsize=(width / 25.4, height / 25.4))
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.2}  # legible across lines
     for upper in (True, False):
-        low = 13.0 + 2.0 * _RIM if upper else 13.0
-        place = (0.5 - _RIM / width, low / height, 2.0 * _RIM / width, 2.0 * _RIM / height)
+        low = 13.0 + 2.0 * _HEMISPHERE_RADIUS_MM if upper else 13.0
+        place = (
+            0.5 - _HEMISPHERE_RADIUS_MM / width,
+            low / height,
+            2.0 * _HEMISPHERE_RADIUS_MM / width,
+            2.0 * _HEMISPHERE_RADIUS_MM / height,
+        )
         axes = PolarAxes(figure, place, theta_offset=-0.5 * np.pi if upper else 0.5 * np.pi)
         figure.add_axes(axes)
         axes.set_theta_direction(1 if upper else -1)

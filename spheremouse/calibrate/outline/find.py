@@ -24,14 +24,14 @@ POINTS = "or give points on its edge: --points X,Y X,Y X,Y"
 _TURN_HINT = "turn the ball by a quarter and more while you film all of it with a still camera"
 
 _DARK, _BRIGHT = 25.0, 250.0  # grey values
-_SMOOTH = 0.8  # px, standard deviation of the Gaussian before all else
+_SMOOTHING_SIGMA_PX = 0.8  # px, standard deviation of the Gaussian before all else
 _SAME_LIGHT = 0.2  # of the logarithm of the light: frames with another light are left out
 _MIN_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
 _MIN_CHANGE_SIGMAS = 4.0  # standard deviations of the noise, the same
 _MIN_AREA = 0.002  # of the picture
 _MIN_SIDE = 16  # px, side of a picture
 _MAX_BORDER_POINTS = 1000  # points of the border in RANSAC
-_TRIALS = 2000
+_RANSAC_TRIALS = 2000
 _GRID_SIDE = 40  # pixels along a side of the picture, the same
 _MIN_POINTS = 30  # of a border or an outline
 _MIN_REGION = 0.003  # of the largest region that moves: others are noise
@@ -44,8 +44,8 @@ _ROUND, _AS_LARGE = 0.6, 0.3  # of what moves and of its outline, that are one; 
 _SEARCH_RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius: in which an edge is looked for, one pass after another
 _MIN_SEARCH_PX = 4.0  # px, the same
 _EDGE_RATIO = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
-_MIN_BLUR = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTH` and differences
-_SAMPLING = 0.25  # px
+_MIN_BLUR = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTHING_SIGMA_PX` and differences
+_SAMPLING_PX = 0.25  # px
 _OUTSIDE_SAMPLES = 6  # samples
 _MIN_EDGE_VARIANCE = 0.02  # of the variance within: less is noise
 _MAX_BACKGROUND_VARIANCE = 0.25  # of the variance within: the background
@@ -53,7 +53,7 @@ _STEP_PX, _STEP = 2.5, 5.0  # px, and grey values a pixel: of a step of the mean
 _MIN_STEP_SHARE = 0.5  # steps, of the edges
 _STEP_FLOOR_PX, _STEP_SHARED = (0.08, 0.12), (0.3, 0.3)  # as those below, by steps
 _FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
-_SHARED = (0.7, 1.0)  # of the scatter of the edges, which many of them share: the pattern is finer at the limb
+_SHARED_SCATTER = (0.7, 1.0)  # of the scatter of the edges, which many of them share: the pattern is finer at the limb
 
 
 class Change(NamedTuple):
@@ -95,7 +95,7 @@ def change_of(images: Sequence[Image], light: Array) -> Change:
     for image, k in zip(images, light, strict=True):
         if abs(np.log(max(k, 1e-3))) > _SAME_LIGHT:
             continue
-        smooth = cv2.GaussianBlur(image.astype(np.float32) / np.float32(k), (0, 0), _SMOOTH)
+        smooth = cv2.GaussianBlur(image.astype(np.float32) / np.float32(k), (0, 0), _SMOOTHING_SIGMA_PX)
         base = base if count else smooth  # sums of small values lose no digits
         d = smooth - base
         x, y = cv2.filter2D(d, -1, along), cv2.filter2D(d, -1, along.T)
@@ -161,7 +161,7 @@ def _ransac(moving: Image, camera: InteriorOrientation) -> Outline:
     rays, grid = rays_of(border, camera), rays_of(pixels, camera)
     if len(rays) < _MIN_POINTS:
         raise _no_ball()
-    A = rays[np.random.default_rng(0).integers(0, len(rays), (_TRIALS, 3))]
+    A = rays[np.random.default_rng(0).integers(0, len(rays), (_RANSAC_TRIALS, 3))]
     A = A[np.abs(np.linalg.det(A)) > 1e-9]
     n = np.linalg.solve(A, np.ones((len(A), 3, 1)))[:, :, 0]  # (t, 3), one of each trial
     square = np.sum(n**2, axis=1)
@@ -214,7 +214,7 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
         raise CalibrationError(
             f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN_HINT}, {POINTS}"
         )
-    edges, floor_px, shared = edges[fits], _FLOOR_PX, _SHARED
+    edges, floor_px, shared = edges[fits], _FLOOR_PX, _SHARED_SCATTER
     steps = _steps(change.mean, outline, edges, camera)
     if len(steps) > _MIN_STEP_SHARE * len(edges):
         outline = _robust(rays_of(steps, camera), outline)
@@ -230,7 +230,7 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
 
     The outermost edge of the change counts. There the gradient over the change is `level`, 1/px.
     """
-    normal, offset = _normals(pixels), np.arange(reach, -reach, -_SAMPLING)  # from outside
+    normal, offset = _normals(pixels), np.arange(reach, -reach, -_SAMPLING_PX)  # from outside
     at = pixels[:, None] + offset[:, None] * normal[:, None]
     variance, xx, xy, yy = (_sampled(part, at) for part in (change.variance, *np.moveaxis(change.gradient, -1, 0)))
     x, y = normal[:, None, 0], normal[:, None, 1]
@@ -251,7 +251,7 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     before, after = ratio[i, k - 1], ratio[i, k]
     with np.errstate(invalid="ignore", divide="ignore"):
         edge = np.where(np.isfinite(before), k - (level - after) / (before - after), k - 0.5)
-    place, i = (reach - _SAMPLING * edge)[k > _OUTSIDE_SAMPLES], ok[k > _OUTSIDE_SAMPLES]
+    place, i = (reach - _SAMPLING_PX * edge)[k > _OUTSIDE_SAMPLES], ok[k > _OUTSIDE_SAMPLES]
     return pixels[i] + place[:, None] * normal[i]
 
 
@@ -261,13 +261,13 @@ def _steps(mean: Array, outline: Outline, edges: Array, camera: InteriorOrientat
     They are sharper than the edges of the change, which gloss moves inwards.
     """
     pixels = outline.pixels(camera)
-    normal, offset = _normals(pixels), np.arange(-_STEP_PX, _STEP_PX + _SAMPLING, _SAMPLING)
+    normal, offset = _normals(pixels), np.arange(-_STEP_PX, _STEP_PX + _SAMPLING_PX, _SAMPLING_PX)
     profile = _sampled(mean, pixels[:, None] + offset[:, None] * normal[:, None])
-    slope = np.abs(profile[:, 2:] - profile[:, :-2]) / (2.0 * _SAMPLING)
+    slope = np.abs(profile[:, 2:] - profile[:, :-2]) / (2.0 * _SAMPLING_PX)
     k, i = np.argmax(slope, axis=1), np.arange(len(slope))
     inner = np.clip(k, 1, slope.shape[1] - 2)
     a, b, c = (slope[i, inner + d] for d in (-1, 0, 1))
-    place = offset[1 + inner] + _SAMPLING * 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, -1e-9)
+    place = offset[1 + inner] + _SAMPLING_PX * 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, -1e-9)
     near = np.min(np.linalg.norm(pixels[:, None] - edges[None], axis=2), axis=1) < 2.0 * _STEP_PX
     ok = near & (k == inner) & (b > _STEP)
     return pixels[ok] + place[ok, None] * normal[ok]

@@ -17,10 +17,10 @@ from spheremouse.geometry.statistics import mad_sigma
 # Camera axes as `obj` has them: X right, Y up, Z towards the camera.
 R_OBJ_CAM = np.diag([1.0, -1.0, -1.0])
 
-_ROUNDS = 20
-_CONVERGED = 1e-9  # rad
+_MAX_ROUNDS = 20
+_CONVERGENCE_RAD = 1e-9  # rad
 _NO_OUTLINE = ("the points are on no outline of a ball", "give points all around it, not on a line")
-_TUKEY = 4.685  # standard deviations beyond which an edge has no weight (Huber 1981, section 4.8)
+_TUKEY_SIGMAS = 4.685  # standard deviations beyond which an edge has no weight (Huber 1981, section 4.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +68,9 @@ def fit_outline(rays: Array, sigma: float, start: Outline | None = None, robust:
     less weight or none (Tukey's), and takes sigma from the rays. Raises CalibrationError if they are on no cone.
     """
     outline = start or _first(rays)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         off, J = residuals(outline, rays), _jacobian(outline, rays)
-        limit = _TUKEY * max(float(mad_sigma(off)), 1e-9)
+        limit = _TUKEY_SIGMAS * max(float(mad_sigma(off)), 1e-9)
         weight = np.clip(1.0 - (off / limit) ** 2, 0.0, None) ** 2 if robust else np.ones(len(rays))
         Q = np.asarray(np.linalg.inv((J * weight[:, None]).T @ J), float)
         step = -Q @ (J.T @ (weight * off))
@@ -81,7 +81,7 @@ def fit_outline(rays: Array, sigma: float, start: Outline | None = None, robust:
         outline = Outline(np.asarray(u / np.linalg.norm(u), float), outline.angle + float(step[2]), variance * Q)
         if not (0.0 < outline.angle < 1.5 and outline.direction[2] > 1.01 * np.sin(outline.angle)):
             raise CalibrationError(*_NO_OUTLINE)
-        if np.abs(step).max() < _CONVERGED:
+        if np.abs(step).max() < _CONVERGENCE_RAD:
             break
     return outline
 

@@ -13,15 +13,15 @@ from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.adjust import calibrate_board
 from spheremouse.calibrate.camera.bundle import View, resect_views
 from spheremouse.calibrate.camera.calibrate import rejection_reason
-from spheremouse.calibrate.camera.corners import SEARCHED, Sighting, find_board
+from spheremouse.calibrate.camera.corners import MAX_SEARCHED_PX, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, Coverage, coverage, enough, gain, missing
 from spheremouse.calibrate.photographing.selector import Selector
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
-_QUICK_SEARCH = 0.25 * SEARCHED  # px; finds a board that is large enough four times as fast
-_FOCAL = 0.9  # of the longer side, to begin with: between a wide and an ordinary webcam
+_QUICK_SEARCH = 0.25 * MAX_SEARCHED_PX  # px; finds a board that is large enough four times as fast
+_FOCAL_OVER_WIDTH = 0.9  # of the longer side, to begin with: between a wide and an ordinary webcam
 _MIN_VIEWS = 4  # for a calibration whose focal length is better than that
 _MIN_SHARE = 1.0 / 6.0  # of the picture: half of the instructions' minimum
 _MIN_CORNERS = 4  # for a motion
@@ -38,7 +38,7 @@ class BoardSelector(Selector[Sighting]):
         self._corners: list[Array] = []
         self._views: list[View] = []
         self._rotations = np.empty((0, 3, 3))
-        focal = _FOCAL * max(size)
+        focal = _FOCAL_OVER_WIDTH * max(size)
         self._camera = InteriorOrientation(*size, focal, focal, 0.5 * (size[0] - 1), 0.5 * (size[1] - 1))
 
     @property
@@ -57,7 +57,7 @@ class BoardSelector(Selector[Sighting]):
 
     def detect(self, picture: Image, *, quick: bool) -> Sighting:
         """Find the board in a picture, of reduced size if `quick`."""
-        return find_board(picture, self.pattern, _QUICK_SEARCH if quick else SEARCHED)
+        return find_board(picture, self.pattern, _QUICK_SEARCH if quick else MAX_SEARCHED_PX)
 
     def fault(self, seen: Sighting) -> str:
         return "" if len(seen.ids) else f"it {rejection_reason(seen, self.pattern)}"

@@ -22,7 +22,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
-_NEARER = 0.8  # of the distance of the photos from there
+_MAX_NEARER_RATIO = 0.8  # of the distance of the photos from there
 _MIN_TARGETS = 3  # to place a camera
 _MIN_ADDED = 2  # photos of a session that continues, so that a complete set can grow
 
@@ -96,7 +96,7 @@ class DeviceSelector(Selector[TargetDetections]):
         near = angle < MIN_RAY_ANGLE
         if not near.any():
             return f"{np.degrees(angle.min()):.0f}° from the nearest photo", ""
-        if distance[-1] < _NEARER * distance[:-1][near].min():
+        if distance[-1] < _MAX_NEARER_RATIO * distance[:-1][near].min():
             return "from nearer", ""
         least = np.degrees(MIN_RAY_ANGLE)
         return "", f"{np.degrees(angle.min()):.0f}° from a photo there is, {least:.0f}° are wanted: go further round"

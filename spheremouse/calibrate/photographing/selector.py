@@ -15,10 +15,10 @@ from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.geometry.rotation import Array
 
 _MAX_MOTION = 1.0  # px between two frames; in the exposure it is a part of that
-_SHARP = 1.0  # px: a lens in focus, its pixels, and demosaicing
-_BLURRED = 3.0  # px: worse than any lens in focus, even if the camera's software enlarges its pictures
+_MAX_BLUR_IN_FOCUS_PX = 1.0  # px: a lens in focus, its pixels, and demosaicing
+_MAX_BLUR_PX = 3.0  # px: worse than any lens in focus, even if the camera's software enlarges its pictures
 _MAX_TIMES_SHARPEST = 1.5  # then motion blurs as much as the lens does
-_DARK = 40  # grey values; if hardly a pixel is brighter, neither paper nor ball can be seen
+_MIN_BRIGHTNESS_GREY = 40  # grey values; if hardly a pixel is brighter, neither paper nor ball can be seen
 
 S = TypeVar("S")  # detections in a frame
 
@@ -86,7 +86,7 @@ class Selector(ABC, Generic[S]):
         seen = self.detect(picture, quick=True)
         motion = self._motion(*self.points(seen))
         if fault := self.fault(seen):
-            dark = float(np.percentile(picture[::8, ::8], 99.0)) < _DARK
+            dark = float(np.percentile(picture[::8, ::8], 99.0)) < _MIN_BRIGHTNESS_GREY
             return FrameCheck(seen, "the picture is dark" if dark else fault)
         words = self.describe(seen)
         if motion >= _MAX_MOTION:
@@ -123,7 +123,7 @@ class Selector(ABC, Generic[S]):
         self._sharpest = min(self._sharpest, blur)  # nan is not less
         if np.isnan(blur):
             return "its edges cannot be made out: more light, or come closer"
-        if blur <= min(max(_SHARP, _MAX_TIMES_SHARPEST * self._sharpest), _BLURRED):
+        if blur <= min(max(_MAX_BLUR_IN_FOCUS_PX, _MAX_TIMES_SHARPEST * self._sharpest), _MAX_BLUR_PX):
             return ""
         best = f", {self._sharpest:.1f} px at best" if self._sharpest < blur else ""
         return f"blurred (edges of {blur:.1f} px{best}): more light, or go where the lens is focused"

@@ -30,7 +30,7 @@ PAPERS = {  # mm, upright; those above a3 are for a copy shop
 BLACK, GREY = (0.0, 0.0, 0.0), (0.55, 0.55, 0.55)
 HAIR = 0.1  # mm, a line to cut along
 
-_MARGIN = 6.0  # mm; printers leave out up to 5
+_PAGE_MARGIN_MM = 6.0  # mm; printers leave out up to 5
 _LEFT, _BOTTOM = 17.0, 18.0  # mm, for rulers and words
 _RULER_LENGTH = 100.0  # mm
 _POINTS_PER_MM = 72.0 / 25.4
@@ -50,7 +50,7 @@ class Paper:
     @property
     def room(self) -> tuple[float, float, float, float]:
         """Left, bottom, right, top of the area free of rulers, words and printer margins."""
-        return _LEFT, _BOTTOM, self.width - _MARGIN, self.height - _MARGIN
+        return _LEFT, _BOTTOM, self.width - _PAGE_MARGIN_MM, self.height - _PAGE_MARGIN_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def _rulers_and_text(page: Page) -> "Iterator[Artist]":
     yield from _ruler(x, y)
     yield from _ruler(x - 4.0, y, upwards=True)
     right = x + _RULER_LENGTH + 6.0
-    max_width = page.paper.width - _MARGIN - right
+    max_width = page.paper.width - _PAGE_MARGIN_MM - right
     title = f"{page.title}, {page.paper.name.capitalize()}"
     yield text_line(right, 13.2, title, 3.3, bold=True, max_width=max_width)
     for k, note in enumerate(page.notes):

@@ -40,7 +40,7 @@ MARKER_SHARE = 0.75  # of a ChArUco square: the largest with white around the co
 
 _NAMES = {"C": "cyan", "M": "magenta", "Y": "yellow"}
 _DICTIONARIES = (("5x5_100", 100), ("5x5_250", 250), ("5x5_1000", 1000))  # each begins with the one before
-_QUIET = 1.5  # mm of white round a board, besides the margins
+_QUIET_ZONE_MM = 1.5  # mm of white round a board, besides the margins
 _LARGER = "or a larger --paper, up to a0 in a copy shop"
 
 T = TypeVar("T")
@@ -155,7 +155,7 @@ def largest_square(board: Board, paper_name: str) -> float:
 
 def _fitting(board: Board, sheet: Paper) -> float:
     left, bottom, right, top = sheet.room
-    white = 2.0 * _QUIET
+    white = 2.0 * _QUIET_ZONE_MM
     return min((right - left - white) / (board.columns + 1), (top - bottom - white) / (board.rows + 1))
 
 

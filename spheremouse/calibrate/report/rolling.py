@@ -16,7 +16,7 @@ GOOD_RATIO, GOOD_DIRECTION = 1e-3, float(np.deg2rad(0.02))  # standard deviation
 _MIN_AXIS_SHARE = 0.05  # of the rotation about each further axis; less is a rotation about one axis only
 _MAX_UNSEEN = 0.1  # of the ball's surface
 _MAX_STEP = 0.5  # rad between frames; more is a gap
-_VISIBLE = 0.85  # of the angle to the limb
+_VISIBLE_OF_LIMB_ANGLE = 0.85  # of the angle to the limb
 
 
 def rolling_json(solution: Solution, axes: Axes, source: str, rig: Rig) -> dict[str, Any]:
@@ -104,5 +104,5 @@ def axis_shares(rolling: Rolling) -> Array:
 def unseen_share(rolling: Rolling) -> float:
     """Return the share of the ball's surface that never faced the camera."""
     towards = np.einsum("fji,j->fi", rolling.attitude, -rolling.direction)
-    limit = np.cos(_VISIBLE * np.arccos(1.0 / rolling.ratio))
+    limit = np.cos(_VISIBLE_OF_LIMB_ANGLE * np.arccos(1.0 / rolling.ratio))
     return float(np.mean(np.max(towards @ fibonacci_sphere(400).T, axis=0) < limit))

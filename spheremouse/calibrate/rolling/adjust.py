@@ -34,7 +34,7 @@ _OUTLIER_SHARE = 0.25  # of the largest statistic; smaller outliers wait for the
 _HUBER_KNEE = 2.0  # standard deviations, while outliers are still in
 _CHI2_MEDIAN = 1.386  # with 2 degrees of freedom
 _MIN_FRAMES, _MIN_DISCS = 5, 5  # frames that show a disc; discs
-_CELLS = 12  # rows and columns of the ball's image, for errors that depend on the place
+_CELLS_PER_SIDE = 12  # rows and columns of the ball's image, for errors that depend on the place
 
 
 def adjust_rolling(
@@ -161,5 +161,7 @@ def _passes(s: Sightings) -> NDArray[np.intp]:
 def _places(s: Sightings) -> NDArray[np.intp]:
     """Each sighting's cell of the ball's image, (n,)."""
     low, high = s.centre.min(axis=0), s.centre.max(axis=0)
-    cell = np.minimum((s.centre - low) / np.maximum(high - low, 1e-9) * _CELLS, _CELLS - 1).astype(np.intp)
-    return cell[:, 0] * _CELLS + cell[:, 1]
+    cell = np.minimum((s.centre - low) / np.maximum(high - low, 1e-9) * _CELLS_PER_SIDE, _CELLS_PER_SIDE - 1).astype(
+        np.intp
+    )
+    return cell[:, 0] * _CELLS_PER_SIDE + cell[:, 1]

@@ -32,7 +32,7 @@ _MIN_SECONDS = 2.9  # three, less a frame at 10 Hz
 _MAX_CHANGE = 2e-3  # of the ratio, or rad: a rig that is off by less measures as well
 _VIEW_INTERVAL = 0.5  # s
 _MAX_VIEWS, _MAX_COLOUR_VIEWS = 240, 30
-_FEATURES = 150  # places in the room, for the check that the camera stood still
+_MAX_FEATURES = 150  # places in the room, for the check that the camera stood still
 _MAX_SHIFT = 0.5  # px; a larger one is that of a camera that was moved
 
 
@@ -183,7 +183,7 @@ def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation)
     size = max(3, round(0.03 * camera.width))
     outside = cv2.bitwise_not(cv2.dilate(ball_mask(rig, pose), np.ones((size, size), np.uint8)))
     (begin, reference), *later = views.grey
-    places = cv2.goodFeaturesToTrack(reference, _FEATURES, 0.02, 0.015 * camera.width, mask=outside)
+    places = cv2.goodFeaturesToTrack(reference, _MAX_FEATURES, 0.02, 0.015 * camera.width, mask=outside)
     if places is None or len(places) < 12:
         return
     for stamp, image in later:

@@ -23,7 +23,7 @@ from spheremouse.geometry.matching import mutual_nearest, suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 
-_SCALES = (9, 17, 33, 65)  # px, widths of the closing, for discs up to two thirds of it
+_CLOSING_WIDTHS_PX = (9, 17, 33, 65)  # px, widths of the closing, for discs up to two thirds of it
 _MIN_DEPTH = 0.2  # of a spot, relative to its surroundings: print is 0.8; haze and gloss halve it
 _MIN_DEPTH_SIGMAS = 5.0  # of a spot, in standard deviations of a pixel's noise
 _MIN_AREA = 12.0  # px²
@@ -35,8 +35,8 @@ _MAX_GAP = 3  # frames; a spot seen later is another one
 _MIN_MOTION = 3.0  # px, of a moving spot
 _MIN_MOTION_SHARE = 0.01  # of the picture's width, of a moving spot
 _MAX_PAIRS, _MIN_PAIRS = 120, 5  # of frames
-_LAGS = (1, 2, 4, 8, 16, 32, 64)
-_FIT = 1.0  # px; spots are exact to some tenths, the model to the rest
+_LAG_FRAMES = (1, 2, 4, 8, 16, 32, 64)
+_RESIDUAL_SCALE_PX = 1.0  # px; spots are exact to some tenths, the model to the rest
 _MIN_BALL_SHARE = 0.3  # of the moving spots on the ball
 _CENTRES, _SIZES = 11, 15  # nodes of the search
 _COARSE_STEP = 4  # every so many pairs while searching
@@ -101,7 +101,7 @@ def dark_spots(image: Image) -> Spots:
     grey = cv2.GaussianBlur(grey, (0, 0), 0.8)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel()))
     found: list[tuple[float, float, float]] = []  # u, v, area
-    for width in _SCALES:
+    for width in _CLOSING_WIDTHS_PX:
         if width > min(grey.shape) // 4:
             break
         background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
@@ -216,9 +216,9 @@ def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array,
     on = pairs.there & np.isfinite(residual)
     if np.count_nonzero(on) < _MIN_BALL_SHARE * np.count_nonzero(pairs.there):
         return None
-    if np.median(residual[on]) > _FIT or np.mean(residual[on] < 3.0 * _FIT) < 0.5:
+    if np.median(residual[on]) > _RESIDUAL_SCALE_PX or np.mean(residual[on] < 3.0 * _RESIDUAL_SCALE_PX) < 0.5:
         return None
-    fits = pairs.there & (residual < 3.0 * _FIT)
+    fits = pairs.there & (residual < 3.0 * _RESIDUAL_SCALE_PX)
     good, all_ = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.there))
     return *_unpacked(found), [p for p, g, n in zip(paths, good, all_, strict=True) if 2 * g > n]
 
@@ -238,7 +238,7 @@ def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
     scored: list[tuple[float, int, int]] = []
     for f in range(0, last - 1, max(1, last // 600)):
         best = (0.0, 0, 0)
-        for lag in _LAGS:
+        for lag in _LAG_FRAMES:
             if f + lag >= last:
                 break
             way = np.linalg.norm(at[f + lag] - at[f], axis=1)
@@ -302,7 +302,7 @@ def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
         z = np.maximum(turned[..., 2], 1e-3)
         way = turned[..., :2] / z[..., None] - (pairs.after[..., :2] / pairs.after[..., 2:])[None]
         residual = np.where(hit, focal * np.linalg.norm(way, axis=-1), np.inf)
-        weight = hit / (1.0 + np.where(hit, residual / (2.0 * _FIT), 0.0) ** 2)
+        weight = hit / (1.0 + np.where(hit, residual / (2.0 * _RESIDUAL_SCALE_PX), 0.0) ** 2)
     return residual
 
 
@@ -334,12 +334,14 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
         [[middle[0] + a * half[0], middle[1] + b * half[1], s] for s in sizes for a in nodes for b in nodes]
     )
     few = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
-    cost = np.concatenate([_cost(g, few, camera.fx, 4.0 * _FIT) for g in np.array_split(grid, len(grid) // 100 + 1)])
+    cost = np.concatenate(
+        [_cost(g, few, camera.fx, 4.0 * _RESIDUAL_SCALE_PX) for g in np.array_split(grid, len(grid) // 100 + 1)]
+    )
     starts = grid[np.argsort(cost)[:_MAX_NODES]]
     starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), np.inf)[:_MAX_STARTS]]
-    near = [_refined(start, few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for start in starts]
-    best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _FIT)))]
-    for scale, reach in ((_FIT, 0.02), (0.3 * _FIT, 0.004)):
+    near = [_refined(start, few, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
+    best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _RESIDUAL_SCALE_PX)))]
+    for scale, reach in ((_RESIDUAL_SCALE_PX, 0.02), (0.3 * _RESIDUAL_SCALE_PX, 0.004)):
         best = _refined(best, pairs, camera.fx, scale, reach * half.max())
     return best
 

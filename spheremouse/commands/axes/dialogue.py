@@ -17,7 +17,9 @@ from spheremouse.session.screen import Tally
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 
-_SHIFT = 0.4  # m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
+_SHIFT_PER_RADIAN_M = (
+    0.4  # m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
+)
 _ON_TOP = "push the top of the ball, not its front or its underside, each time one way"
 _MIRRORED = "no player's right, away and counter-clockwise go together so"
 
@@ -49,7 +51,7 @@ def asked_of(configuration: Configuration) -> Asked:
             ("wand", "pointing"),
             (("facing", True, "you face the camera"), ("facing", False, "you look the way the camera does")),
             tuple(of_hand(replace(pointing, facing=facing)) for facing in (True, False)),
-            1.0 if turns else _SHIFT,
+            1.0 if turns else _SHIFT_PER_RADIAN_M,
         )
     seats: dict[Player, str] = {
         "far-side": "you stand on the far side of the ball, opposite the camera",

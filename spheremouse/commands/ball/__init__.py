@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 DEFAULT_VFOV = 45.0  # degrees; webcams have 40 to 50
 POINT_PX = 1.0  # standard deviation of a point that a person gives
 
-_FEWEST = 3  # points
-_FARTHEST = 1e5  # px
-_INTERVAL = 0.09  # s between pictures: a ball turns little in less
+_MIN_POINTS = 3  # points
+_MAX_COORDINATE_PX = 1e5  # px
+_PICTURE_INTERVAL_S = 0.09  # s between pictures: a ball turns little in less
 _MOST_BYTES = 250_000_000  # of pictures in memory
-_MARKS = 40  # points in the picture
-_OFF_PX, _OFF = 4.0, 0.04  # px, and part of the radius, that a point may be off
-_VAGUE = 0.05  # of the angular radius
+_MAX_MARKS = 40  # points in the picture
+_MAX_OFF_PX, _MAX_OFF_RADII = 4.0, 0.04  # px, and part of the radius, that a point may be off
+_MAX_RELATIVE_SIGMA = 0.05  # of the angular radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def ball(*, options: BallOptions) -> None:
         outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
         check_points(points, outline, camera)
     rig = rig_of(outline, camera)
-    picture = drawn(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MARKS)])
+    picture = drawn(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MAX_MARKS)])
     write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
     print(describe(outline, rig))
     if known is None and o.vfov is None:
@@ -121,10 +121,12 @@ def parse_points(texts: list[str]) -> "Array":
         points = np.array([[float(x) for x in word.split(",")] for word in words]).reshape(len(words), 2)
     except ValueError:
         points = np.full((1, 2), np.nan)
-    if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > _FARTHEST:
+    if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > _MAX_COORDINATE_PX:
         raise ConfigurationError(f'--points {" ".join(texts)!r}: write X,Y in px, as in "320,72 489,240 320,408"')
-    if len(points) < _FEWEST:
-        raise ConfigurationError(f"--points: {len(points)} points fix no outline; give {_FEWEST} or more all around it")
+    if len(points) < _MIN_POINTS:
+        raise ConfigurationError(
+            f"--points: {len(points)} points fix no outline; give {_MIN_POINTS} or more all around it"
+        )
     return points
 
 
@@ -157,7 +159,7 @@ def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrient
         for frame in section(source, 0.0, math.inf if seconds is None else seconds):
             if images and frame.image.shape != images[0].shape:
                 raise SourceError(f"{spec}: frame {frame.sequence} has another size than the first")
-            if frame.stamp - last >= _INTERVAL and (len(images) + 1) * frame.image.size < _MOST_BYTES:
+            if frame.stamp - last >= _PICTURE_INTERVAL_S and (len(images) + 1) * frame.image.size < _MOST_BYTES:
                 images.append(frame.image.copy())
                 last = frame.stamp
             if seconds is None:
@@ -177,8 +179,8 @@ def check_points(points: "Array", outline: "Outline", camera: "InteriorOrientati
     px = math.sqrt(camera.fx * camera.fy)
     off = np.abs(residuals(outline, rays_of(points, camera))) * px
     k = int(np.argmax(off))
-    if off[k] > max(_OFF_PX, _OFF * outline.angle * px):
+    if off[k] > max(_MAX_OFF_PX, _MAX_OFF_RADII * outline.angle * px):
         x, y = points[k].tolist()
         raise CalibrationError(f"the point {x:g},{y:g} is {off[k]:.1f} px off the outline of the others", "correct it")
-    if outline.sigma[1] > _VAGUE * outline.angle:
+    if outline.sigma[1] > _MAX_RELATIVE_SIGMA * outline.angle:
         raise CalibrationError("the points fix the outline badly", "give more, all around it")

@@ -21,7 +21,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.session.overlay.pen import BLUE, GREEN, RED, canvas_of
 
 PICTURE = "outline.png"
-_WIDTH = 1280  # px, of the picture
+_PICTURE_WIDTH_PX = 1280  # px, of the picture
 
 Polygon = Sequence[float]  # x, y, x, y, ... px
 
@@ -54,7 +54,7 @@ def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, settings: Se
 
 def drawn(image: Image, outline: Array, marks: Iterable[Array], masks: Sequence[Polygon] = ()) -> Image:
     """Return a picture with the outline of the ball, points that it fits, and masks, (n, 2) px."""
-    scale = max(1, round(_WIDTH / image.shape[1]))
+    scale = max(1, round(_PICTURE_WIDTH_PX / image.shape[1]))
     canvas = canvas_of(image, scale)
     for lines, colour in (([np.reshape(mask, (-1, 2)) for mask in masks], BLUE), ([outline], GREEN)):
         fixed = [np.rint(((line + 0.5) * scale - 0.5) * 16.0).astype(np.int32) for line in lines]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
 
-_STEPS = 100
+_PROGRESS_STEPS = 100
 
 
 def device(
@@ -128,7 +128,7 @@ def _calibrated(
     from spheremouse.files.yaml import read_document
 
     with progress_bar() as bar:
-        task = bar.add_task("reading", total=_STEPS)
+        task = bar.add_task("reading", total=_PROGRESS_STEPS)
         try:
             return calibrate_device(
                 [lambda photo=photo: image(photo) for photo in photos],
@@ -137,7 +137,7 @@ def _calibrated(
                 settings.rings,
                 settings.discs,
                 [p.path.name for p in photos],
-                lambda what, part: bar.update(task, description=what, completed=round(_STEPS * part)),
+                lambda what, part: bar.update(task, description=what, completed=round(_PROGRESS_STEPS * part)),
             )
         except DistanceError as e:
             line = read_document(device_file).line(("distances", e.index))

@@ -27,7 +27,7 @@ _COLOURS = {
     "failed-output": "bold red",
 }
 
-_WIDEST = 2 + max(map(len, _COLOURS))
+_STATE_COLUMNS = 2 + max(map(len, _COLOURS))
 
 
 def status_table(s: StatusReport) -> Panel:
@@ -96,7 +96,7 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
         else ", ".join(f"{printable(b.name)} {printable(b.state)}" for b in event.balls),
     ]
     state = _state(event)
-    state.pad_right(max(0, _WIDEST - len(state)))
+    state.pad_right(max(0, _STATE_COLUMNS - len(state)))
     if event.motion:
         parts.append(printable(event.motion.words))
     failed = next((f"output {o.spec}: {o.failed}" for o in event.outputs if o.failed), "")

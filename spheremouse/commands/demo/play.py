@@ -53,24 +53,24 @@ _NEXT = (
     ("calibrate next", "the steps to your own ball, one after the other"),
 )
 _NO_IMAGE = np.zeros((0, 0), np.uint8)
-_NOISE = 4.0  # grey values: a webcam in a lit room
+_NOISE_GREY = 4.0  # grey values: a webcam in a lit room
 
 
 def play(out: Path, seconds: float, seed: int) -> None:
     """Simulate, track and compare, and write FILES into a folder."""
-    film = _Film(prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE, seed=seed)))
+    film = _Film(prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE_GREY, seed=seed)))
     with os_errors_as(ConfigurationError, f"--out {out}: cannot be made"):
         out.mkdir(parents=True, exist_ok=True)
         for name in _TABLE:  # of an earlier demo, which would be continued
             (out / name).unlink(missing_ok=True)
-    source = f"synthetic:motion=play,seconds={seconds:g},noise={_NOISE:g},seed={seed}"
+    source = f"synthetic:motion=play,seconds={seconds:g},noise={_NOISE_GREY:g},seed={seed}"
     settings = config.assignments({"source": source, "output": f"csv:{out / 'motion.csv'}"})
     overrides = CommandLineOverrides(assignments=settings, no_map=True)
     with ExitStack() as stack:
         stopping = stack.enter_context(SignalHandler())
         view = _View(stack, out / "overlay.mp4", film.simulation.fps, status=True)
         view.log(
-            f"A simulated camera (640x480, {film.simulation.fps:g} Hz, noise {_NOISE:g}) films a ball with "
+            f"A simulated camera (640x480, {film.simulation.fps:g} Hz, noise {_NOISE_GREY:g}) films a ball with "
             f"{len(film.simulation.scene.disc_directions)} discs,\nand bolts that look like discs. "
             "The tracker gets the pictures and the rig, nothing else."
         )

@@ -20,7 +20,7 @@ from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame
 
 _SETTLING_S = 0.4  # after a camera's first frame that are left out, while it finds its exposure
-_VIEWS = 10  # whole frames
+_MAX_VIEWS = 10  # whole frames
 _FIRST_TIMEOUT_S = 4.0  # for a camera to begin
 _SILENT_TIMEOUT_S = 1.0  # without a frame after which it has stopped
 _MAX_FRAMES = 600  # of a recording at 240 Hz
@@ -203,7 +203,7 @@ def _raw_frames(camera: Camera) -> Iterator[RawFrame]:
 
 def _footage(raws: Iterable[RawFrame], seconds: float, fps: float | None, *, live: bool) -> Footage:
     """Collect frames: of a live source by the clock, after it has settled, of a recording by the stamps."""
-    step = max(1, round((fps or 30.0) * seconds / _VIEWS))
+    step = max(1, round((fps or 30.0) * seconds / _MAX_VIEWS))
     times: list[tuple[float, float, int]] = []
     views: list[Frame] = []
     damaged, notes = 0, ()
@@ -218,7 +218,7 @@ def _footage(raws: Iterable[RawFrame], seconds: float, fps: float | None, *, liv
                 break
             try:
                 if now >= begin:
-                    whole = len(times) % step == 0 and len(views) <= _VIEWS
+                    whole = len(times) % step == 0 and len(views) <= _MAX_VIEWS
                     frame = raw.frame(whole)
                     times.append((frame.stamp, arrival, frame.sequence))
                     views += [replace(frame, image=frame.image.copy())] if whole else []

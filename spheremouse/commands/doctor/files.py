@@ -22,7 +22,7 @@ from spheremouse.session.control.status import StatusReport
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.settings import Configuration
 
-_DAY = 86400.0  # s
+_DAY_S = 86400.0  # s
 
 
 def usual(overrides: CommandLineOverrides, status: StatusReport | None) -> CommandLineOverrides:
@@ -102,7 +102,7 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
         advice = "calibrate (`spheremouse calibrate next`), or give --rig FILE, or `rig:` in the configuration"
         return unchecked("rig", "no rig yet: the pictures cannot be measured", advice)
     made, how = _made(path)
-    days = (datetime.now(UTC) - made).total_seconds() / _DAY
+    days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
     text = f"{path}: {how} {_since(days)}; {targets}, ball of {_length(rig)}"
     return classify(

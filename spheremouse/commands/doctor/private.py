@@ -12,7 +12,7 @@ _USB = Path("/sys/bus/usb/devices")
 _BY_ID = re.compile(r"(/by-id/[^\s,;)]*_)([^\s,;)_]{4,}?)((?:-[a-z]+-index|-if)\d+)")  # ..._SERIAL-video-index0
 _HOMES = re.compile(r"(?<![\w/])/(?:home|Users)/[^/\s,;:)']+")
 _NOBODY = {"root", "spheremouse", "video", "input", "nobody"}  # names that every computer has
-_KEPT = 2  # characters of a serial number
+_SERIAL_CHARACTERS_KEPT = 2  # characters of a serial number
 
 
 def redactor(
@@ -53,7 +53,7 @@ def redactor(
 
 
 def _short(number: str) -> str:
-    return number if number.endswith("…") else number[:_KEPT] + "…"
+    return number if number.endswith("…") else number[:_SERIAL_CHARACTERS_KEPT] + "…"
 
 
 def _users() -> list[str]:

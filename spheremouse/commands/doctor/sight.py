@@ -24,14 +24,14 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import why_absent
 from spheremouse.tracker import Frame
 
-_PLACED = 1e-3  # m: stability of a target on a frame of wood or steel
+_TARGET_STABILITY_M = 1e-3  # m: stability of a target on a frame of wood or steel
 _USUAL_RADIUS = 0.6  # m, of a ball without a measured size
-_BRISK = 1.0  # m/s of the ball's surface: an arm's length in less than a second
-_CORE = 0.5  # of a disc's diameter
+_BRISK_SPEED_M_S = 1.0  # m/s of the ball's surface: an arm's length in less than a second
+_CORE_DIAMETERS = 0.5  # of a disc's diameter
 _MIN_DISCS = 3  # directions that determine an attitude and check it
-_CLIPPED = 254  # grey value: the last two values have all overexposed pixels at any noise
+_MIN_OVEREXPOSED_GREY = 254  # grey value: the last two values have all overexposed pixels at any noise
 _LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
-_BRIGHTEST = 95.0  # per cent of the picture that are darker
+_BRIGHT_PERCENTILE = 95.0  # per cent of the picture that are darker
 _MAX_CLIPPED = 0.1  # of the ball overexposed: one disc in ten has a rim with a clipped bright side
 _PRINT_CONTRAST = 0.8  # contrast of black print on white
 
@@ -96,7 +96,7 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
     """Return three standard deviations of a target's residual, px: of its measurement and of its place in the rig."""
     unit = rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0
     depth = np.maximum(pose.to_cam(rig.targets.position)[:, 2], 1e-6)
-    placed = rig.camera.fx * _PLACED * unit / float(np.median(depth))
+    placed = rig.camera.fx * _TARGET_STABILITY_M * unit / float(np.median(depth))
     told = rig.camera.fx * np.sqrt(np.mean(np.diag(rig.targets.covariance))) / float(np.median(depth))
     return 3.0 * float(np.sqrt(sigma**2 + placed**2 + told**2))
 
@@ -165,9 +165,9 @@ def brightness(
     the disc in any `projection` but grey.
     """
     values = np.concatenate([v[mask > 0] if mask is not None else v.ravel() for v in views])
-    middle = float(np.median(values) if mask is not None else np.percentile(values, _BRIGHTEST))
+    middle = float(np.median(values) if mask is not None else np.percentile(values, _BRIGHT_PERCENTILE))
     level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
-    clipped = float(np.mean(values >= _CLIPPED))
+    clipped = float(np.mean(values >= _MIN_OVEREXPOSED_GREY))
     least, hopeless = ((4.0 * noise + 1.0) / (0.5 * c) for c in (settings.contrast, _PRINT_CONTRAST))
     ball, where = (True, "the ball") if mask is not None else (False, "the brightest of the picture")
     darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
@@ -238,11 +238,11 @@ def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: boo
     """
     rig, pose = seen.rig, seen.pose
     near = float(np.linalg.norm(pose.position - rig.ball.centre)) - rig.ball.radius
-    speed = _BRISK * (rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0)
+    speed = _BRISK_SPEED_M_S * (rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0)
     rate = speed / rig.ball.radius
     per_second = speed * rig.camera.fx / near  # px/s
     at = f"{np.degrees(rate):.0f} °/s"
-    fraction = _CORE if known and exposure else settings.size_tolerance
+    fraction = _CORE_DIAMETERS if known and exposure else settings.size_tolerance
     longest_ms = 1e3 * fraction * seen.disc / per_second
     if not exposure:
         return unchecked(

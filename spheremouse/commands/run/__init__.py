@@ -111,7 +111,7 @@ def run(
     options |= {"map": map_file, "wand.balls": balls}
     given = settings_given(assignments, config, options)
     saved = None if replay else saved_file(config)
-    overrides = CommandLineOverrides(config, (*(_REPLAYED if replay else ()), *given), no_map, saved=saved)
+    overrides = CommandLineOverrides(config, (*(_SETTINGS_OF_REPLAY if replay else ()), *given), no_map, saved=saved)
     plan = read_run_config(overrides)
     check_kinds(plan)
     if overlay is not None:
@@ -125,7 +125,7 @@ def run(
 Pace = Literal["fast", "realtime", "replay"]  # of the frames of a recording
 
 # Settings of the configuration file that a replay leaves to the recording.
-_REPLAYED = ("rig=null", "camera_file=null", "map=null", "wand.balls=[]", "metrics.port=null", "realtime=off")
+_SETTINGS_OF_REPLAY = ("rig=null", "camera_file=null", "map=null", "wand.balls=[]", "metrics.port=null", "realtime=off")
 
 
 def _has_terminal(plan: "RunConfig") -> bool:

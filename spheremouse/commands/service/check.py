@@ -9,7 +9,7 @@ from spheremouse.commands.service.systemd import UNIT, USER, Place
 from spheremouse.files.access import group_of
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning, wrong
 
-_ASKED = ("ActiveState", "SubState", "Result", "NRestarts")
+_QUERIED_PROPERTIES = ("ActiveState", "SubState", "Result", "NRestarts")
 
 
 def installed(node: Path | None, root: Path = Path("/")) -> list[Finding]:
@@ -55,7 +55,7 @@ def check_files(place: Place) -> Finding:
 def check_state(place: Place) -> Finding:
     """Check whether the service runs."""
     name, user = ("own service", " --user") if place.user else ("service", "")
-    told = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_ASKED)}"])
+    told = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_QUERIED_PROPERTIES)}"])
     active, result = told.get("ActiveState"), told.get("Result", "success")
     if not active:
         return unchecked(name, "systemd does not run here, or does not answer")

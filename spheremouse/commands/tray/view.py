@@ -169,7 +169,7 @@ LOOKS = {
     "failed-output": Look((226, 60, 50), "octagon", "X"),
     NO_DAEMON: Look((225, 225, 225), "disc", "/"),
 }
-_UNKNOWN = Look((140, 140, 140), "octagon", "i")  # a state of a later version
+_UNKNOWN_LOOK = Look((140, 140, 140), "octagon", "i")  # a state of a later version
 _OUTLINES = {  # sides, angle (°), radius and height of the centre
     "disc": (72, 0, 0.97, 0.0),
     "square": (4, 0, 1.27, 0.0),
@@ -181,7 +181,7 @@ _OUTLINES = {  # sides, angle (°), radius and height of the centre
 
 def icon(state: str, size: int = 64) -> Image.Image:
     """Draw the icon of a state, RGBA, `size` px square. Lengths are in units of half a side."""
-    look, side = LOOKS.get(state, _UNKNOWN), size * _OVERSAMPLING
+    look, side = LOOKS.get(state, _UNKNOWN_LOOK), size * _OVERSAMPLING
     picture, half = Image.new("RGBA", (side, side)), side / 2.0
     draw = ImageDraw.Draw(picture)
     sides, angle, radius, height = _OUTLINES[look.outline]

@@ -14,13 +14,13 @@ from markupsafe import Markup, escape
 
 from spheremouse.files.report import style
 
-_HERE = "spheremouse.files.report"
+_PACKAGE = "spheremouse.files.report"
 
 
 def page(title: str, lead: str, body: Markup, foot: str = "", paper: str | None = None) -> str:
     """Return the whole file; for a `paper` ("A4", "Letter") a handout to print on it."""
     given = {"title": title, "lead": lead, "body": body, "foot": foot, "paper": paper}
-    return str(rendered(_HERE, "page.html", **given)) + "\n"
+    return str(rendered(_PACKAGE, "page.html", **given)) + "\n"
 
 
 def rendered(package: str, name: str, **values: object) -> Markup:
@@ -31,7 +31,7 @@ def rendered(package: str, name: str, **values: object) -> Markup:
 @cache
 def _templates(package: str) -> Environment:
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package, ""), PackageLoader(_HERE, "")]),
+        loader=ChoiceLoader([PackageLoader(package, ""), PackageLoader(_PACKAGE, "")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

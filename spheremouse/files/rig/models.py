@@ -15,13 +15,15 @@ assert get_args(Code) == CODES
 
 # Lengths are in metres, or in any unit where the scale is free: a millionth and a million hold a ball of millimetres as
 # well as one of kilometres, and their squares and quotients remain finite.
-_GREATEST = 1e6
-Length = Annotated[float, Field(ge=1.0 / _GREATEST, le=_GREATEST)]
-Coordinate = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]
-Variance = Annotated[float, Field(ge=-(_GREATEST**2), le=_GREATEST**2)]
-Focal = Annotated[float, Field(ge=1.0, le=_GREATEST)]  # px: the smallest picture at 170°, and a telescope's
+_MAX_MAGNITUDE = 1e6
+Length = Annotated[float, Field(ge=1.0 / _MAX_MAGNITUDE, le=_MAX_MAGNITUDE)]
+Coordinate = Annotated[float, Field(ge=-_MAX_MAGNITUDE, le=_MAX_MAGNITUDE)]
+Variance = Annotated[float, Field(ge=-(_MAX_MAGNITUDE**2), le=_MAX_MAGNITUDE**2)]
+Focal = Annotated[float, Field(ge=1.0, le=_MAX_MAGNITUDE)]  # px: the smallest picture at 170°, and a telescope's
 Principal = Annotated[float, Field(ge=-MAX_SIDE, le=2 * MAX_SIDE)]  # px
-Distortion = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]  # of a long lens, k3 may come out as anything
+Distortion = Annotated[
+    float, Field(ge=-_MAX_MAGNITUDE, le=_MAX_MAGNITUDE)
+]  # of a long lens, k3 may come out as anything
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Row = Annotated[tuple[Variance, ...], Field(max_length=3 * len(CODES))]
 Matrix = Annotated[tuple[Row, ...], Field(max_length=3 * len(CODES))]

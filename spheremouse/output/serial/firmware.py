@@ -19,7 +19,7 @@ FILES = (
 DRIVES = ("/media/*/CIRCUITPY", "/run/media/*/CIRCUITPY", "/Volumes/CIRCUITPY")  # where systems mount it
 _FIRST_LINE = b"# spheremouse firmware"
 _EXAMPLES = (b'print("Hello World!")', b"import board")  # of CircuitPython
-_PREFERRED = ("code.txt", "boot.txt")  # CircuitPython runs them in place of code.py and boot.py
+_OVERRIDING_FILES = ("code.txt", "boot.txt")  # CircuitPython runs them in place of code.py and boot.py
 _MIN_CIRCUITPYTHON = 9
 _CIRCUITPYTHON = re.compile(rb"CircuitPython (\d+)\.")
 _VERSION = re.compile(r"^FIRMWARE = \((\d+), (\d+), (\d+)\)", re.M)
@@ -71,13 +71,13 @@ def install(drive: Path, force: bool) -> list[str]:
         hint = f"install CircuitPython {_MIN_CIRCUITPYTHON} or newer first (docs/microcontroller.md)"
         raise OutputError(f"{drive}: {problem}", hint)
     files = {name: (service_files(PICO) / name).read_bytes() for name in FILES}
-    others = [name for name in _PREFERRED if (drive / name).exists()]
+    others = [name for name in _OVERRIDING_FILES if (drive / name).exists()]
     others += [name for name, data in files.items() if not _is_ours(_bytes(drive / name) or b"", data)]
     if others and not force:
         raise OutputError(f"{drive}: {', '.join(others)} of another program there", "save them and use --force")
     stale = [name for name, data in files.items() if _bytes(drive / name) != data]
     try:
-        for name in _PREFERRED:
+        for name in _OVERRIDING_FILES:
             (drive / name).unlink(missing_ok=True)
         for name in stale:
             replace(drive / name, files[name])

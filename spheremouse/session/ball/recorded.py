@@ -23,8 +23,8 @@ from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import Subject
 
-_PUSHED = 3  # px of a target's reduced patch: its search window in an ordinary check (watch)
-_RINGS = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)
+_SEARCH_REACH_PX = 3  # px of a target's reduced patch: its search window in an ordinary check (watch)
+_RING_MARGIN_PX = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)
 
 
 def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
@@ -47,7 +47,7 @@ def _target_boxes(rig: Rig, pose: Pose) -> list[tuple[int, int, int, int]]:
     boxes = []
     for (x, y), size, reduction in zip(watched.corner, watched.size, watched.reduction, strict=True):
         if size:
-            margin = int(_PUSHED * reduction + size // 4 + _RINGS)
+            margin = int(_SEARCH_REACH_PX * reduction + size // 4 + _RING_MARGIN_PX)
             boxes.append((int(x) - margin, int(y) - margin, int(x + size) + margin, int(y + size) + margin))
     return boxes
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from spheremouse.output.sample import Sample
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
-_TIMEOUTS = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
+_TIMEOUTS_S = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
 _SIGN_OF_LIFE = 5.0  # s between two statuses, which show that the daemon works if no frame comes
 _CONNECT_TIMEOUT = 5.0  # s
-_TIMEOUT = 65.0  # s; the daemon itself gives up after 60 s
+_DEFAULT_TIMEOUT_S = 65.0  # s; the daemon itself gives up after 60 s
 
 
 class NoDaemonError(ControlError):
@@ -81,7 +81,7 @@ class Client:
     def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Return the daemon's reply without `ok`. RefusedError has the daemon's reason; NoDaemonError: none answers."""
         given = {k: v for k, v in arguments.items() if v is not None}
-        reply = self._exchange({"command": command, **given}, _TIMEOUTS.get(command, _TIMEOUT))
+        reply = self._exchange({"command": command, **given}, _TIMEOUTS_S.get(command, _DEFAULT_TIMEOUT_S))
         if reply.pop("ok", None) is not True:
             raise RefusedError(printable(str(reply.get("error", "the daemon refuses without a reason"))))
         return reply
@@ -102,7 +102,7 @@ class Client:
         """
         self.ask("watch", interval=interval, samples=samples or None)
         while True:
-            yield self._receive(max(_TIMEOUTS["watch"], 3.0 * interval))
+            yield self._receive(max(_TIMEOUTS_S["watch"], 3.0 * interval))
 
     def sample_objects(self) -> Iterator[dict[str, Any]]:
         """Yield each sample of the run as a JSON object of `output.sample`. NoDaemonError if the daemon ends.

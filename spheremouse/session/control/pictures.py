@@ -26,7 +26,7 @@ _HEADER_BYTES = 64
 _FIELDS = struct.Struct("=dIIIIII")  # stamp, index of the format, width, height, bytes of pixels, of annotations, 0
 _FIELDS_AT = 16  # after `begun` and `ended`
 _SLOT_HEADER_BYTES = 64
-_ATTEMPTS = 3  # of a reader, each at a newer picture
+_MAX_READ_ATTEMPTS = 3  # of a reader, each at a newer picture
 _F_SEAL_FUTURE_WRITE = 0x10  # Linux 5.1
 
 
@@ -131,7 +131,7 @@ class PictureReader:
 
     def latest(self, after: int = 0) -> LivePicture | None:
         """Return a copy of the newest picture; None if its number is not above `after`, or it was being overwritten."""
-        for _ in range(_ATTEMPTS):
+        for _ in range(_MAX_READ_ATTEMPTS):
             number = self._numbers[_NEWEST]
             if number <= after:
                 return None

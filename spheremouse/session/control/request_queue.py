@@ -12,7 +12,7 @@ from spheremouse.session.control.protocol import Record, Request, internal_error
 MAX_WAITING = 8  # requests
 
 _STOP = "record --stop"
-_ALREADY = {
+_BUSY_MESSAGES = {
     "snapshot": "a snapshot is being written already",
     "record": "a recording is already starting",
     _STOP: "the recording is already ending",
@@ -77,8 +77,8 @@ class RequestQueue:
             self._waiting = [p for p in self._waiting if not p.cancelled]
             busy = pending.kind in self._under_way or any(p.kind == pending.kind for p in self._waiting)
             error = ""
-            if busy and pending.kind in _ALREADY:
-                error = f"{_ALREADY[pending.kind]}; ask again when it is done"
+            if busy and pending.kind in _BUSY_MESSAGES:
+                error = f"{_BUSY_MESSAGES[pending.kind]}; ask again when it is done"
             elif len(self._waiting) >= MAX_WAITING:
                 error = f"{MAX_WAITING} requests wait already; ask again when they are done"
             else:

@@ -48,8 +48,8 @@ Handle = Callable[[PendingRequest], None]
 # Settings that a member of the group may not `set`: the files, devices and addresses that the daemon opens.
 PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics", "wand")
 
-_POLL = 0.1  # s between two checks for a disconnected client
-_GOODBYE = 0.5  # s in which the last replies are sent at the end
+_DISCONNECTION_CHECK_S = 0.1  # s between two checks for a disconnected client
+_MAX_LAST_REPLIES_S = 0.5  # s in which the last replies are sent at the end
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class ControlServer:
         server.close()
         busy = [task for task, client in self._clients.items() if client.busy]
         if busy:
-            await asyncio.wait(busy, timeout=_GOODBYE)
+            await asyncio.wait(busy, timeout=_MAX_LAST_REPLIES_S)
 
     def _publish(self, event: dict[str, Any]) -> None:
         for client in self._clients.values():
@@ -202,7 +202,7 @@ class ControlServer:
             line = await client.line()
             if line is None:  # it only listens from here on
                 while client.watching is not None and not client.has_gone:
-                    await asyncio.sleep(_POLL)
+                    await asyncio.sleep(_DISCONNECTION_CHECK_S)
                 return
             if not line.strip():
                 continue
@@ -242,7 +242,7 @@ class ControlServer:
                     raise ConnectionResetError
                 if self._loop.time() > deadline:
                     return refused(f"no answer within {self._limits.answer:g} s", request.id)
-                await asyncio.wait([reply], timeout=min(_POLL, self._limits.answer))
+                await asyncio.wait([reply], timeout=min(_DISCONNECTION_CHECK_S, self._limits.answer))
             return done(reply.result(), request.id)
         finally:
             pending.cancelled = not reply.done()

@@ -21,7 +21,7 @@ from spheremouse.wand.axes import estimated_axes
 
 Marks = dict[str, Any]  # of `TrackerAdapter.annotations`
 
-_UNUSED = 0.45  # weight of a detection that the filter did not use
+_UNUSED_WEIGHT = 0.45  # weight of a detection that the filter did not use
 _PICTURE_WIDTH = 1280  # px
 
 
@@ -45,7 +45,7 @@ class Overlay:
             pen.outline(np.reshape(outline, (-1, 2)))
         pen.trace(list(self._trace))
         for disc in marks["detected"]:
-            pen.ellipse(_place(disc), _shape(disc), WHITE, 1.0 if disc["used"] else _UNUSED)
+            pen.ellipse(_place(disc), _shape(disc), WHITE, 1.0 if disc["used"] else _UNUSED_WEIGHT)
         for target in marks["targets"]:
             pen.target(target["code"], _place(target), _shape(target))
         for place in marks["masked"]:

@@ -12,8 +12,8 @@ Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
 WHITE, GREEN, RED, BLUE, OUTLINE = (255, 255, 255), (90, 220, 60), (40, 40, 255), (230, 150, 60), (200, 200, 120)  # BGR
 SHADOW = (40, 40, 40)
-_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
-_BLOCKS = 24  # across a picture: six across a head that fills a quarter of it
+_FRACTIONAL_BITS = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
+_BLOCKS_ACROSS = 24  # across a picture: six across a head that fills a quarter of it
 EPOCHS = 15  # epochs that fade: half a second
 
 
@@ -33,7 +33,7 @@ def masked(image: Image, keep: Image | None) -> Image:
 def in_blocks(image: Image, keep: Image) -> Image:
     """Return a copy of a frame in blocks too coarse to recognise a person, except where `keep`, (h, w), is not 0."""
     h, w = image.shape[:2]
-    blocks = cv2.resize(image, (_BLOCKS, max(1, round(_BLOCKS * h / w))), interpolation=cv2.INTER_AREA)
+    blocks = cv2.resize(image, (_BLOCKS_ACROSS, max(1, round(_BLOCKS_ACROSS * h / w))), interpolation=cv2.INTER_AREA)
     made = cv2.resize(blocks, (w, h), interpolation=cv2.INTER_NEAREST)
     return np.asarray(cv2.copyTo(image, keep, made), dtype=np.uint8)
 
@@ -56,7 +56,7 @@ class Pen:
             color=OUTLINE,
             thickness=self.width,
             lineType=cv2.LINE_AA,
-            shift=_SHIFT,
+            shift=_FRACTIONAL_BITS,
         )
         cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
 
@@ -73,7 +73,7 @@ class Pen:
                 color=shade,
                 thickness=width,
                 lineType=cv2.LINE_AA,
-                shift=_SHIFT,
+                shift=_FRACTIONAL_BITS,
             )
 
     def trace(self, epochs: list[Array]) -> None:
@@ -85,7 +85,7 @@ class Pen:
             level = round(255 * (1.0 if age == 0 else 0.15 + 0.6 * freshness))
             for p in self._fixed(points):
                 x, y = int(p[0]), int(p[1])
-                cv2.circle(alpha, (x, y), round(radius * 2**_SHIFT), level, -1, cv2.LINE_AA, _SHIFT)
+                cv2.circle(alpha, (x, y), round(radius * 2**_FRACTIONAL_BITS), level, -1, cv2.LINE_AA, _FRACTIONAL_BITS)
         rows, columns = np.nonzero(alpha)
         share = alpha[rows, columns, None].astype(np.float32) / 255.0
         mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(RED, np.float32) * share
@@ -108,7 +108,7 @@ class Pen:
     def label(self, text: str, at: Array, colour: Colour) -> None:
         """Words that begin at a place, (2,) px, or as near to it as they are in the picture and below others."""
         h, w = self._canvas.shape[:2]
-        (long, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 11 * self.width / _LETTERS, 1)
+        (long, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 11 * self.width / _LETTER_HEIGHT_PX, 1)
         x, y = np.rint(np.nan_to_num(at) * self._scale).tolist()
         x, y = int(min(max(x, 0), w - long - 1)), int(min(max(y, high), h - 3 * high))
         while any(abs(x - a) < max(long, n) and abs(y - b) < 1.3 * high for a, b, n in self._written) and y < h:
@@ -134,16 +134,16 @@ class Pen:
             color=colour,
             thickness=width,
             lineType=cv2.LINE_AA,
-            shift=_SHIFT,
+            shift=_FRACTIONAL_BITS,
         )
 
     def _fixed(self, points: Array) -> NDArray[np.int32]:
         """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""
         at = (np.asarray(points, dtype=float) + 0.5) * self._scale - 0.5
-        return np.rint(np.clip(at, -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
+        return np.rint(np.clip(at, -1e5, 1e5) * 2**_FRACTIONAL_BITS).astype(np.int32)
 
 
-_LETTERS = 22.0  # px high at font scale 1
+_LETTER_HEIGHT_PX = 22.0  # px high at font scale 1
 
 
 def _dull(colour: Colour, weight: float) -> Colour:
@@ -152,4 +152,4 @@ def _dull(colour: Colour, weight: float) -> Colour:
 
 
 def _text(image: Image, text: str, at: tuple[int, int], height: float, colour: Colour) -> None:
-    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, height / _LETTERS, colour, 1, cv2.LINE_AA)
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, height / _LETTER_HEIGHT_PX, colour, 1, cv2.LINE_AA)

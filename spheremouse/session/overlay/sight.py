@@ -18,7 +18,7 @@ from spheremouse.session.overlay.pen import WHITE, Colour, Pen, canvas_of
 
 _YELLOW: Colour = (30, 210, 255)
 _ORANGE: Colour = (30, 130, 255)
-_AROUND = 1.6  # radii: as far from the rings as those of `Pen.target`
+_MARK_RADIUS_RADII = 1.6  # radii: as far from the rings as those of `Pen.target`
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,5 +81,5 @@ def draw_sight(
 
 
 def _ring(pen: Pen, centre: Array, radius: float, text: str, colour: Colour) -> None:
-    pen.ellipse(centre, _AROUND * radius**2 * np.eye(2), colour)
+    pen.ellipse(centre, _MARK_RADIUS_RADII * radius**2 * np.eye(2), colour)
     pen.label(text, centre + radius * np.array([1.5, -1.1]), colour)

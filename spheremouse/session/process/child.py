@@ -11,7 +11,7 @@ from typing import Any
 
 from spheremouse.errors import ControlError, printable
 
-_TIMEOUT = 120.0  # s
+_TIMEOUT_S = 120.0  # s
 _MAX_LINE_BYTES = 1_000_000
 
 
@@ -29,10 +29,10 @@ async def answer(socket: Path | None, *words: str, codes: tuple[int, ...] = (0,)
     """Return the JSON that a command prints. Raises ControlError with its last line if its exit code is another."""
     process = await start(socket, *words)
     try:
-        async with asyncio.timeout(_TIMEOUT):
+        async with asyncio.timeout(_TIMEOUT_S):
             out, error = await process.communicate()
     except TimeoutError:
-        raise ControlError(f"spheremouse {words[0]}: no answer within {_TIMEOUT:g} s") from None
+        raise ControlError(f"spheremouse {words[0]}: no answer within {_TIMEOUT_S:g} s") from None
     finally:
         if process.returncode is None:
             process.kill()

@@ -11,7 +11,9 @@ import sys
 
 PRIORITY = 5  # of SCHED_RR: above all threads without real time, below audio servers
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_SWITCH = 5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
+_SWITCH_INTERVAL_S = (
+    5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
+)
 
 
 def prepare(wanted: bool = True) -> str:
@@ -69,7 +71,7 @@ class GcPause:
     def __init__(self) -> None:
         self._due = 0.0
         self._switch = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH)
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         gc.collect()
         gc.freeze()
         gc.disable()

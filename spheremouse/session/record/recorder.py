@@ -24,10 +24,10 @@ from spheremouse.session.settings import RecordSettings
 from spheremouse.session.tracker_adapter import Subject
 from spheremouse.tracker import Frame
 
-_BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
-_BEHIND = 6e6  # bytes that the video keeps in memory before they are in its file, and its index
-_LOOK = 0.5  # s between two looks at the disk and the clock
-_FPS = 30.0  # of the video, for players only
+_MAX_QUEUED_BYTES = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
+_MAX_UNWRITTEN_VIDEO_BYTES = 6e6  # bytes that the video keeps in memory before they are in its file, and its index
+_CHECK_INTERVAL_S = 0.5  # s between two looks at the disk and the clock
+_NOMINAL_FPS = 30.0  # of the video, for players only
 
 
 class Recorder:
@@ -54,7 +54,7 @@ class Recorder:
         self._subject, self._settings, self._clock = subject, settings, clock
         self._folder, self._camera_line = folder.absolute(), camera_line
         made_folder(self._folder.parent, DatasetError)
-        refuse_full_disk(self._folder, settings, _BEHIND)
+        refuse_full_disk(self._folder, settings, _MAX_UNWRITTEN_VIDEO_BYTES)
         camera = subject.camera
         self._size_px = camera.width, camera.height
         self._film = FilmWriter(self._folder, self._size_px)
@@ -66,7 +66,7 @@ class Recorder:
         self._frame_bytes = 3 * camera.width * camera.height
         self._free: queue.SimpleQueue[_Buffer] = queue.SimpleQueue()
         self._full: queue.SimpleQueue[_Buffer | None] = queue.SimpleQueue()
-        for _ in range(min(max(int(_BUFFERS / self._frame_bytes), 4), 64)):
+        for _ in range(min(max(int(_MAX_QUEUED_BYTES / self._frame_bytes), 4), 64)):
             self._free.put(_Buffer(self._frame_bytes))
         self._view = subject.view  # of the last frame; `_subject` is that of the first
         self._keep: Image | None = None
@@ -162,13 +162,16 @@ class Recorder:
         """Write until there is a reason to end, and return it."""
         if not self._settings.everything:
             self._keep = self._subject.kept()
-        self._film.open(_FPS)
+        self._film.open(_NOMINAL_FPS)
         self._begun = self._last = looked = self._clock()
         self.open = True
-        limit, seconds = 1e6 * self._settings.megabytes - _BEHIND - self._frame_bytes, self._settings.seconds
+        limit, seconds = (
+            1e6 * self._settings.megabytes - _MAX_UNWRITTEN_VIDEO_BYTES - self._frame_bytes,
+            self._settings.seconds,
+        )
         while True:
             try:
-                buffer = self._full.get(timeout=_LOOK)
+                buffer = self._full.get(timeout=_CHECK_INTERVAL_S)
             except queue.Empty:
                 if self._clock() - self._begun >= seconds:
                     return f"ended after {seconds:g} s"
@@ -180,9 +183,9 @@ class Recorder:
             self._bytes = self._film.size()
             if self._bytes > limit:
                 return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"
-            if now - looked >= _LOOK:
+            if now - looked >= _CHECK_INTERVAL_S:
                 looked = now
-                if disk_is_full(self._folder.parent, self._settings, _BEHIND):
+                if disk_is_full(self._folder.parent, self._settings, _MAX_UNWRITTEN_VIDEO_BYTES):
                     return f"ended: less than {self._settings.free_megabytes:g} MB are free on the disk"
             assert buffer.frame is not None
             self._film.add(buffer.frame)

@@ -34,7 +34,7 @@ from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
 Make = Callable[[RunConfig], WandTracker]
-_AROUND = 1.25  # radii of the ball that a snapshot shows: as far as a pose may be off
+_SNAPSHOT_RADIUS_RADII = 1.25  # radii of the ball that a snapshot shows: as far as a pose may be off
 
 
 class WandAdapter(TrackerAdapter):
@@ -225,8 +225,8 @@ def _around_balls(poses: tuple[WandPose, ...], tracker: WandTracker) -> Image:
     """Return a mask, (h, w), that is 255 on the balls seen and close around them."""
     keep = np.zeros((tracker.camera.height, tracker.camera.width), dtype=np.uint8)
     for ball, pose in zip(tracker.balls, poses, strict=True):
-        if pose.seen and pose.position is not None and pose.position[2] > _AROUND * ball.radius:
-            around = sphere_outline(pose.position, _AROUND * ball.radius, tracker.camera)
+        if pose.seen and pose.position is not None and pose.position[2] > _SNAPSHOT_RADIUS_RADII * ball.radius:
+            around = sphere_outline(pose.position, _SNAPSHOT_RADIUS_RADII * ball.radius, tracker.camera)
             cv2.fillPoly(keep, [np.rint(around[np.isfinite(around).all(axis=1)]).astype(np.int32)], 255)
     return keep
 

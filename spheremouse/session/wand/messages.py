@@ -10,8 +10,10 @@ from spheremouse.tracker import Event, Status
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.state import WandPose
 
-PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is logged
-_GREY = 3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
+MAX_SEARCH_S = 5.0  # s of frames without a ball that was never seen, after which that is logged
+_MAX_GREY_COLOUR_DIFFERENCE = (
+    3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
+)
 
 _Wand = NotInView | BallLost | BallHidden | SecondBall | ColourNowhere | ColourEverywhere
 
@@ -74,9 +76,9 @@ class WandMessages:
         pose = poses[self._points]
         self.why = "" if pose.phase is Status.TRACKING else _why(pose, image)
         self.reason = self.why or f"{pose.name} is followed"
-        if pose.phase is Status.SEARCHING and not self._complained and stamp - self._began > PATIENCE:
+        if pose.phase is Status.SEARCHING and not self._complained and stamp - self._began > MAX_SEARCH_S:
             self._complained = True
-            self._more.append(f"not found for {PATIENCE:g} s: {self.why}")
+            self._more.append(f"not found for {MAX_SEARCH_S:g} s: {self.why}")
 
     def take(self) -> LogMessages:
         """Return the log lines since the previous call, and clear them. Of several changes it keeps the last."""
@@ -115,7 +117,7 @@ class WandMessages:
 
 def _why(pose: WandPose, image: NDArray[np.uint8]) -> str:
     sample = image[::8, ::8].astype(np.int16)
-    if sample.ndim == 3 and float(np.ptp(sample, axis=2).mean()) < _GREY:
+    if sample.ndim == 3 and float(np.ptp(sample, axis=2).mean()) < _MAX_GREY_COLOUR_DIFFERENCE:
         return f"{problem(pose)} (the frames are grey, or dark)"
     return problem(pose)
 

@@ -19,9 +19,9 @@ from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.shapes import Face, Sphere, Viewpoint, look, pixel_parts
 
-_FINE = 6  # rays across a pixel where shapes meet
-_TILE = 16  # px, of bundles of rays
-_IDS = 256  # stripes per shape, as in shapes
+_RAYS_ACROSS_PIXEL = 6  # rays across a pixel where shapes meet
+_TILE_PX = 16  # px, of bundles of rays
+_IDS_PER_SHAPE = 256  # stripes per shape, as in shapes
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,10 @@ class Backdrop:
 
 
 def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
-    """Cast a ray per pixel, and `_FINE`² rays if neighbouring pixels show different shapes; on request without ball."""
+    """Cast a ray per pixel, and `_RAYS_ACROSS_PIXEL`² rays if neighbouring pixels show different shapes.
+
+    On request, leave out the ball.
+    """
     h, w = scene.camera.height, scene.camera.width
     v, u = np.mgrid[0:h, 0:w]
     uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
@@ -50,8 +53,8 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     ids, outline = np.empty(h * w, dtype=np.int64), np.empty(h * w)
     white, black = np.empty((h * w, 3)), np.empty((h * w, 3))
     # square tiles, of which those on the right and lower border may repeat pixels
-    rows, columns = (np.minimum(np.arange(0, n, _TILE)[:, None] + np.arange(_TILE), n - 1) for n in (h, w))
-    every = (rows[:, None, :, None] * w + columns[None, :, None, :]).reshape(-1, _TILE**2)
+    rows, columns = (np.minimum(np.arange(0, n, _TILE_PX)[:, None] + np.arange(_TILE_PX), n - 1) for n in (h, w))
+    every = (rows[:, None, :, None] * w + columns[None, :, None, :]).reshape(-1, _TILE_PX**2)
     for tiles in _parts(every, 64):
         ids[tiles], depth = _seen(view, xy[tiles])
         outline[tiles] = alone.cast(xy[tiles])[0] == 0
@@ -60,7 +63,7 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     shown = (ids == 0).astype(float)
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
     for part in _parts(edge, 2000):
-        fine = xy[part, None] + pixel_parts(_FINE) @ dxy_duv[part].transpose(0, 2, 1)
+        fine = xy[part, None] + pixel_parts(_RAYS_ACROSS_PIXEL) @ dxy_duv[part].transpose(0, 2, 1)
         fine_ids, depth = _seen(view, fine)
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
         shown[part] = (fine_ids == 0).mean(axis=1)
@@ -74,9 +77,12 @@ def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
 
 
 def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the shapes that bundles of rays hit, (m, k): shape * _IDS + stripe, or < 0; and z in cam, (m, k) m."""
+    """Return the shapes that bundles of rays hit, and z in cam, (m, k) m.
+
+    The shapes, (m, k), are shape * _IDS_PER_SHAPE + stripe, or < 0.
+    """
     first, depth = view.cast(xy)
-    ids = first * _IDS
+    ids = first * _IDS_PER_SHAPE
     for index, shape in enumerate(view.shapes):
         if isinstance(shape, Face) and shape.stripes > 0.0:
             on = first == index
@@ -89,13 +95,13 @@ def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], dep
 
     Each shape has one colour in a pixel: the colour at the mean of its visible points.
     """
-    base = (len(view.shapes) + 1) * _IDS
-    key = np.arange(len(xy))[:, None] * base + ids + _IDS
+    base = (len(view.shapes) + 1) * _IDS_PER_SHAPE
+    key = np.arange(len(xy))[:, None] * base + ids + _IDS_PER_SHAPE
     pairs, group, count = np.unique(key, return_inverse=True, return_counts=True)
     group = group.ravel()
     place = np.concatenate([xy, np.nan_to_num(depth, posinf=0.0)[..., None]], axis=2).reshape(-1, 3)
     mean = np.stack([np.bincount(group, place[:, i]) / count for i in range(3)], axis=1)
-    colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS, mean[:, 2])
+    colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS_PER_SHAPE, mean[:, 2])
     pixel, share = pairs // base, (count / xy.shape[1])[:, None]
     white, black = (
         np.array([np.bincount(pixel, column, len(xy)) for column in (share * colour).T], dtype=float).T
@@ -108,14 +114,14 @@ def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], d
     """Return the grey values at rays, (n, 3), with a white and with a black ball. A ray that hits nothing is black."""
     light, gloss, albedo = np.zeros((3, len(xy), 3))
     points = view.origin + depth[:, None] * view.rays(xy)
-    on_ball, on_room = np.flatnonzero(ids == 0), np.flatnonzero(ids >= _IDS)
+    on_ball, on_room = np.flatnonzero(ids == 0), np.flatnonzero(ids >= _IDS_PER_SHAPE)
     if len(on_ball):
         at = points[on_ball]
         at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
         light[on_ball] = scene.lighting.on_ball(at)
         gloss[on_ball] = scene.lighting.gloss(at, view.origin)
     if len(on_room):
-        at, index, stripe = points[on_room], ids[on_room] // _IDS, ids[on_room] % _IDS
+        at, index, stripe = points[on_room], ids[on_room] // _IDS_PER_SHAPE, ids[on_room] % _IDS_PER_SHAPE
         normals = np.empty_like(at)  # on either side
         for i in np.unique(index):
             normals[index == i] = view.shapes[i].normal(at[index == i])

@@ -21,9 +21,9 @@ from spheremouse.simulate.shapes import pixel_parts
 
 MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z
 _FRONT = np.array([0.0, 0.0, 1.0])
-_COARSE = 4  # px, of which the room behind has one
-_FINE = 4  # parts of a pixel's side where an edge runs through it
-_MARGIN = 3  # px around the board that are rendered finely
+_BACKGROUND_STEP_PX = 4  # px, of which the room behind has one
+_SUBPIXELS_AT_EDGE = 4  # parts of a pixel's side where an edge runs through it
+_FINE_MARGIN_PX = 3  # px around the board that are rendered finely
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def render_board(board: Board, scene: Scene, pose: Pose) -> NDArray[np.float32]:
     camera = scene.camera
     light = Lighting(LAMPS, (), 1e-3)
     # the room without ball and device, coarsely
-    w, h = -(-camera.width // _COARSE), -(-camera.height // _COARSE)
+    w, h = -(-camera.width // _BACKGROUND_STEP_PX), -(-camera.height // _BACKGROUND_STEP_PX)
     sx, sy = w / camera.width, h / camera.height
     cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
     small = replace(camera, width=w, height=h, fx=camera.fx * sx, fy=camera.fy * sy, cx=cx, cy=cy)
@@ -79,7 +79,7 @@ def render_board(board: Board, scene: Scene, pose: Pose) -> NDArray[np.float32]:
     corners = board.outline(board.square + board.border)
     rim = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     uv, _ = project(pose.to_cam(rim), camera)
-    ends = np.array([np.floor(uv.min(axis=0)) - _MARGIN, np.ceil(uv.max(axis=0)) + _MARGIN + 1])
+    ends = np.array([np.floor(uv.min(axis=0)) - _FINE_MARGIN_PX, np.ceil(uv.max(axis=0)) + _FINE_MARGIN_PX + 1])
     (u0, v0), (u1, v1) = np.clip(ends, 0, (camera.width, camera.height)).astype(int)
     v, u = np.mgrid[v0:v1, u0:u1]
     seen = board_coverage(board, camera, pose, np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
@@ -101,7 +101,7 @@ def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Ar
     inside = within[:, 0] & within[:, 1]
     edge = inside & (near[:, 0] | near[:, 1])
     card, black = np.zeros(len(place)), np.zeros(len(place))
-    for pixels, fine in ((np.flatnonzero(inside & ~edge), 1), (np.flatnonzero(edge), _FINE)):
+    for pixels, fine in ((np.flatnonzero(inside & ~edge), 1), (np.flatnonzero(edge), _SUBPIXELS_AT_EDGE)):
         for part in pixel_parts(fine):
             at = place[pixels] + slope[pixels] @ part
             shown, dark = _cover(board, at, np.abs(slope[pixels]) / fine)

@@ -17,7 +17,7 @@ from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import smoothstep
 from spheremouse.tracker import Frame
 
-_CANDIDATES = 48  # candidate places of a moved disc
+_CANDIDATE_PLACES = 48  # candidate places of a moved disc
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def facing(scene: Scene, attitude: Array) -> int:
 def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
     """Move a disc by `angle` rad to the side with most room. Raise ValueError if there is no room."""
     old = scene.disc_directions[disc]
-    phase = np.linspace(0.0, 2.0 * np.pi, _CANDIDATES, endpoint=False)
+    phase = np.linspace(0.0, 2.0 * np.pi, _CANDIDATE_PLACES, endpoint=False)
     around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ tangent_basis(old[None])[0].T
     places = np.cos(angle) * old + np.sin(angle) * around
     others = [k for k in range(len(scene.disc_directions)) if k != disc and k not in scene.fallen]
@@ -116,7 +116,7 @@ def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
 # ---- hands ----
 
 _PER_METRE = 500  # pixels of the drawing
-_SCALE = 1.3  # a big hand: two of them hide about a third of the ball
+_HAND_SCALE = 1.3  # a big hand: two of them hide about a third of the ball
 _HALF_WIDTH, _ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, extent of the drawing around the palm
 _SKIN = np.array([112.0, 148.0, 205.0])  # grey values blue, green, red
 _SLEEVE = np.array([112.0, 70.0, 48.0])
@@ -176,7 +176,7 @@ def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: flo
     x = side * (0.13 + 0.03 * np.sin(2.1 * since))
     y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * (1.0 - come * gone)
     tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
-    axes = _SCALE * visit.size * np.array([[np.cos(tilt), np.sin(tilt), 0.0], [-np.sin(tilt), np.cos(tilt), 0.0]])
+    axes = _HAND_SCALE * visit.size * np.array([[np.cos(tilt), np.sin(tilt), 0.0], [-np.sin(tilt), np.cos(tilt), 0.0]])
     axes[0] *= side
     palm = scene.pose.to_cam(np.array([x, y, _PLANE_Z]))
     return hand_in_picture(hand, palm, axes @ scene.pose.rotation, scene.camera)

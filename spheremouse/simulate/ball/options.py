@@ -15,7 +15,7 @@ Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "a
 Triple = tuple[float, float, float]
 Named = Callable[[str], str]  # returns the name of a field in its source, for messages
 
-_MOST = 99  # photos of a kind
+_MAX_PHOTOS = 99  # photos of a kind
 _MAX_FPS = 1000.0  # Hz
 _MAX_SIDE = 8192  # px
 _RULES = {"gt": (operator.gt, "above"), "ge": (operator.ge, "at least"), "le": (operator.le, "at most")}
@@ -101,8 +101,8 @@ class SimulationOptions:
 class StillsOptions:
     """Options of photos and camera. The fields are the options of `spheremouse calibrate practice`."""
 
-    photos: int = param(6, "-", "Photos of the device.", ge=0, le=_MOST)
-    boards: int = param(15, "-", "Photos of the chessboard, 11x8 corners, 86 mm.", ge=0, le=_MOST)
+    photos: int = param(6, "-", "Photos of the device.", ge=0, le=_MAX_PHOTOS)
+    boards: int = param(15, "-", "Photos of the chessboard, 11x8 corners, 86 mm.", ge=0, le=_MAX_PHOTOS)
     size: tuple[int, int] = param((1920, 1080), "WxH", "Size of the photos in px.", ge=64)
     focal: float | None = param(None, "px", "Focal length in px.  [default: 1404 at 1920x1080]")
     dist: tuple[float, float, float, float, float] = param(

@@ -16,10 +16,10 @@ Single = NDArray[np.float32]
 _Bounds = tuple[float, float]
 Albedo = Callable[[Single], Single]  # unit vectors in ball, (n, 3) -> 0..1, (n,)
 
-_WAVES = 64  # of a field
-_CHUNK = 4096  # directions at a time: their waves stay in the processor's cache
-_EDGE = 0.004  # rad, width of a painted edge
-_CELLS = 48  # along the side of the cube around the ball, to look up its dots
+_WAVES_PER_FIELD = 64  # of a field
+_CHUNK_DIRECTIONS = 4096  # directions at a time: their waves stay in the processor's cache
+_EDGE_WIDTH_RAD = 0.004  # rad, width of a painted edge
+_CELLS_PER_SIDE = 48  # along the side of the cube around the ball, to look up its dots
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,8 @@ class Pattern:
         """Return the albedo, (n,) in 0..1, in `directions`, (n, 3) unit vectors in `ball`."""
         single = directions.astype(np.float32, copy=False)
         result = np.empty(len(single), dtype=np.float32)
-        for start in range(0, len(single), _CHUNK):
-            result[start : start + _CHUNK] = self._albedo(single[start : start + _CHUNK])
+        for start in range(0, len(single), _CHUNK_DIRECTIONS):
+            result[start : start + _CHUNK_DIRECTIONS] = self._albedo(single[start : start + _CHUNK_DIRECTIONS])
         return result
 
 
@@ -48,10 +48,10 @@ def _waves(rng: np.random.Generator, low: float, high: float, slope: float) -> t
     The wave numbers, rad per radius of the ball, are from `low` to `high`; amplitudes fall with the power `slope`. The
     steepness is the root mean square of the gradient along the sphere, 1/rad.
     """
-    direction = rng.standard_normal((3, _WAVES))
-    number = np.geomspace(low, high, _WAVES)
+    direction = rng.standard_normal((3, _WAVES_PER_FIELD))
+    number = np.geomspace(low, high, _WAVES_PER_FIELD)
     wave = _single(direction / np.linalg.norm(direction, axis=0) * number)
-    phase = _single(rng.uniform(0.0, 2.0 * np.pi, _WAVES))
+    phase = _single(rng.uniform(0.0, 2.0 * np.pi, _WAVES_PER_FIELD))
     amplitude = _single(number**-slope / np.sqrt(0.5 * np.sum((number**-slope) ** 2)))
 
     def field(d: Single) -> Single:
@@ -93,21 +93,21 @@ def _dots(rng: np.random.Generator, n: int, low: float, high: float) -> Albedo:
     centre, radius = _anywhere(rng, n), low * (high / low) ** rng.uniform(0.0, 1.0, n) ** 1.5
     around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     cell = _cell_of(centre)[:, None] + around
-    distance = np.linalg.norm((cell + 0.5) * (2.0 / _CELLS) - 1.0 - centre[:, None], axis=2)
-    near = distance < radius[:, None] + _EDGE + np.sqrt(3.0) / _CELLS
-    near &= np.all((cell >= 0) & (cell < _CELLS), axis=2)
+    distance = np.linalg.norm((cell + 0.5) * (2.0 / _CELLS_PER_SIDE) - 1.0 - centre[:, None], axis=2)
+    near = distance < radius[:, None] + _EDGE_WIDTH_RAD + np.sqrt(3.0) / _CELLS_PER_SIDE
+    near &= np.all((cell >= 0) & (cell < _CELLS_PER_SIDE), axis=2)
     dot, which = np.nonzero(near)
-    index = cell[dot, which] @ (_CELLS**2, _CELLS, 1)
+    index = cell[dot, which] @ (_CELLS_PER_SIDE**2, _CELLS_PER_SIDE, 1)
     order = np.argsort(index, kind="stable")
     index, dot = index[order], dot[order]
     rank = np.arange(len(index)) - np.searchsorted(index, index)
-    table = np.full((_CELLS**3, int(rank.max()) + 1), n, dtype=np.int16)  # n: no more
+    table = np.full((_CELLS_PER_SIDE**3, int(rank.max()) + 1), n, dtype=np.int16)  # n: no more
     table[index, rank] = dot
     centres, radii = _single(centre), _single(radius)
 
     def share(d: Single) -> Single:
         found, on = np.zeros(len(d), dtype=np.float32), np.arange(len(d))
-        for dots in table[_cell_of(d) @ (_CELLS**2, _CELLS, 1)].T:
+        for dots in table[_cell_of(d) @ (_CELLS_PER_SIDE**2, _CELLS_PER_SIDE, 1)].T:
             on = on[dots[on] < n]
             dot = dots[on]
             distance = np.linalg.norm(d[on] - centres[dot], axis=1)
@@ -123,11 +123,11 @@ def _single(values: Array) -> Single:
 
 def _inside(depth: Single) -> Single:
     """Return 0 outside of an edge, 1 inside, from the distance to it, rad."""
-    return np.clip(0.5 + depth / _EDGE, 0.0, 1.0)
+    return np.clip(0.5 + depth / _EDGE_WIDTH_RAD, 0.0, 1.0)
 
 
 def _cell_of(directions: NDArray[np.floating]) -> NDArray[np.intp]:
-    return np.clip((directions + 1.0) * (0.5 * _CELLS), 0, _CELLS - 1).astype(np.intp)
+    return np.clip((directions + 1.0) * (0.5 * _CELLS_PER_SIDE), 0, _CELLS_PER_SIDE - 1).astype(np.intp)
 
 
 def _anywhere(rng: np.random.Generator, n: int) -> Array:

@@ -28,15 +28,15 @@ from spheremouse.simulate.light import Lighting
 from spheremouse.simulate.shapes import Sphere, look
 
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
-_NEAREST, _FARTHEST = 1.8, 3.3  # m
+_MIN_DISTANCE_M, _MAX_DISTANCE_M = 1.8, 3.3  # m
 _WALLS = np.array([[-2.5, -1.0, 0.9], [2.5, 2.3, 3.8]])  # m, obj: where the room leaves space for a photographer
-_MARGIN = 6.0  # px between required objects and the picture's border
-_RING = 3.5  # px across the narrowest ring: pixels on both its edges mix with its neighbours'
+_BORDER_MARGIN_PX = 6.0  # px between required objects and the picture's border
+_MIN_RING_PX = 3.5  # px across the narrowest ring: pixels on both its edges mix with its neighbours'
 _CELLS = (16, 9)  # of a picture, in each of which a corner is wanted
-_CANDIDATES = 300
+_CANDIDATE_POSES = 300
 _TILTS = (30.0, 45.0, 15.0, 40.0, 0.0, 35.0)  # deg
 _TURNS = (0.0, 10.0, 90.0, -25.0, 180.0, -90.0, 45.0)  # deg, about the line of sight
-_GOLDEN = 137.5  # deg between the directions of successive tilts: never twice the same
+_GOLDEN_ANGLE_DEG = 137.5  # deg between the directions of successive tilts: never twice the same
 
 # Places of a careful person: azimuth and elevation (deg), distance (m), roll (deg).
 _STATIONS = (
@@ -90,7 +90,7 @@ def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.r
             return pose
     raise ConfigurationError(
         f"--focal {scene.camera.fx:g}: no place in the room shows the whole ball and three targets with rings of "
-        f"{_RING:g} px or more; take another focal length or a larger --size"
+        f"{_MIN_RING_PX:g} px or more; take another focal length or a larger --size"
     )
 
 
@@ -98,7 +98,7 @@ def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, r
     """Return the camera in this direction from the device, far enough to have all in view; None if impossible."""
     a, e = np.radians((azimuth, elevation))
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
-    for reach in np.arange(np.clip(distance, _NEAREST, _FARTHEST), _FARTHEST + 0.01, 0.1):
+    for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
         pose = looking(_AIM + reach * away, _AIM, np.radians(roll))
         if _in_room(pose) and _shows(scene, pose):
             return pose
@@ -151,7 +151,7 @@ def _facing(scene: Scene, pose: Pose) -> tuple[NDArray[np.bool_], Array]:
     away = pose.position - scene.targets.position
     distance = np.linalg.norm(away, axis=1)
     width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
-    return inside & (width * away[:, 2] / distance > _RING), cam
+    return inside & (width * away[:, 2] / distance > _MIN_RING_PX), cam
 
 
 def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
@@ -159,8 +159,8 @@ def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]
     uv, _ = project(points, camera)
     xy = points[:, :2] / points[:, 2:]
     reached = np.sum(xy * xy, axis=1) < 0.9 * camera.fold_r2
-    border = np.array([camera.width, camera.height]) - 1.0 - _MARGIN
-    return reached & np.all((uv > _MARGIN) & (uv < border), axis=1) & (points[:, 2] > 0.0)
+    border = np.array([camera.width, camera.height]) - 1.0 - _BORDER_MARGIN_PX
+    return reached & np.all((uv > _BORDER_MARGIN_PX) & (uv < border), axis=1) & (points[:, 2] > 0.0)
 
 
 # ---- before the board ----
@@ -175,8 +175,8 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
     filled = np.zeros((_CELLS[1], _CELLS[0]))  # photos with a corner in each cell of the picture
     found: list[Pose] = []
     for k in range(n):
-        view = _TILTS[k % len(_TILTS)], _GOLDEN * k, _TURNS[k % len(_TURNS)]
-        tries = [_before_board(board, camera, view, rng) for _ in range(_CANDIDATES)]
+        view = _TILTS[k % len(_TILTS)], _GOLDEN_ANGLE_DEG * k, _TURNS[k % len(_TURNS)]
+        tries = [_before_board(board, camera, view, rng) for _ in range(_CANDIDATE_POSES)]
         kept = [pose for pose in tries if pose is not None]
         if not kept:
             raise ConfigurationError(
@@ -215,11 +215,11 @@ def _before_board(
 
 # ---- the photos ----
 
-_BLUR = 0.5  # px, standard deviation of a lens in focus
+_LENS_SIGMA_PX = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam
 _OFF_MIDDLE = (7.0, -5.0)  # px at that size, the principal point
 _DISCS = 50
-_BOLT = 0.525  # radii of a disc: as in the reference recordings
+_BOLT_OVER_DISC = 0.525  # radii of a disc: as in the reference recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,14 +312,14 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
         disc_directions=device.directions,
         disc_radius=device.disc_radius,
         targets=device.targets,
-        surroundings=(*frame(device.targets, _BOLT * device.disc_radius), *room()),
+        surroundings=(*frame(device.targets, _BOLT_OVER_DISC * device.disc_radius), *room()),
         lighting=Lighting(LAMPS, STRIPS, device.ball_radius),
     )
 
 
 def _exposed(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Through the lens' blur, with noise, in bytes."""
-    blurred = np.asarray(cv2.GaussianBlur(picture, (0, 0), _BLUR), dtype=np.float32)
+    blurred = np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
     if noise > 0.0:
         blurred += np.float32(noise) * rng.standard_normal(blurred.shape, dtype=np.float32)
     return np.clip(np.rint(blurred), 0.0, 255.0).astype(np.uint8)

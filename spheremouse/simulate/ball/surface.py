@@ -21,13 +21,15 @@ from spheremouse.simulate.shapes import pixel_parts
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 
-_PARTS = 2  # of a pixel's side, for a painted pattern
-_FINE = 3  # parts of a pixel's side where the edge of a disc runs through it
-_FINER = 7  # the same near the limb, where a pixel sees far around the ball
-_GRAZING = 5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
-_CORNERS = 180  # of the polygon that approximates a disc's outline
-_MARGIN = 2  # px around ball and discs that are tested
-_WIDER = 1.1  # factor on a disc's linear extent in the image: perspective and lens are not linear
+_SUBPIXELS_OF_PATTERN = 2  # of a pixel's side, for a painted pattern
+_SUBPIXELS_AT_EDGE = 3  # parts of a pixel's side where the edge of a disc runs through it
+_SUBPIXELS_AT_LIMB = 7  # the same near the limb, where a pixel sees far around the ball
+_LIMB_COSINE_PER_ROOT_PIXEL = (
+    5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
+)
+_POLYGON_CORNERS = 180  # of the polygon that approximates a disc's outline
+_TESTED_MARGIN_PX = 2  # px around ball and discs that are tested
+_EXTENT_FACTOR = 1.1  # factor on a disc's linear extent in the image: perspective and lens are not linear
 
 
 class Coverage(NamedTuple):
@@ -39,7 +41,7 @@ class Coverage(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points of the ball that pixels show, `_PARTS`² in each."""
+    """Points of the ball that pixels show, `_SUBPIXELS_OF_PATTERN`² in each."""
 
     pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
     normal: NDArray[np.float32]  # (k, m, 3) unit vectors, obj
@@ -65,7 +67,7 @@ class Surface:
         self._there = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
         self._place(np.zeros(3))
         uv = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
-        low, high = np.floor(uv.min(axis=0)) - _MARGIN, np.ceil(uv.max(axis=0)) + _MARGIN + 1
+        low, high = np.floor(uv.min(axis=0)) - _TESTED_MARGIN_PX, np.ceil(uv.max(axis=0)) + _TESTED_MARGIN_PX + 1
         (u0, v0), (u1, v1) = np.clip([low, high], 0, (camera.width, camera.height)).astype(int)
         v, u = np.mgrid[v0:v1, u0:u1]
         xy, dxy_duv = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
@@ -105,7 +107,7 @@ class Surface:
         """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
         (u0, v0), (h, w) = self._low, self._ray.shape[:2]
         row, column = np.nonzero(shown[v0 : v0 + h, u0 : u0 + w] > 0.0)
-        grid = pixel_parts(_PARTS)
+        grid = pixel_parts(_SUBPIXELS_OF_PATTERN)
         dray = self._dray[row, column]
         ray = self._ray[row, column][:, None] + grid @ dray.transpose(0, 2, 1)
         hits = self._hits(ray.reshape(-1, 3))
@@ -136,9 +138,14 @@ class Surface:
         share = (g > 0.0).astype(float)
         angle = self.scene.disc_angle
         reach = 1.5 * self._pixel / np.maximum(hits.cosine, np.sqrt(self._pixel))  # rad, from the middle to a corner
-        grazing = (hits.cosine < _GRAZING * np.sqrt(self._pixel)) & (g > np.cos(angle + reach) - np.cos(angle))
+        grazing = (hits.cosine < _LIMB_COSINE_PER_ROOT_PIXEL * np.sqrt(self._pixel)) & (
+            g > np.cos(angle + reach) - np.cos(angle)
+        )
         cut = np.abs(g) <= 0.75 * slope.sum(axis=1)
-        for pixels, fine in ((np.flatnonzero(cut & ~grazing), _FINE), (np.flatnonzero(grazing), _FINER)):
+        for pixels, fine in (
+            (np.flatnonzero(cut & ~grazing), _SUBPIXELS_AT_EDGE),
+            (np.flatnonzero(grazing), _SUBPIXELS_AT_LIMB),
+        ):
             share[pixels] = self._share(ray[pixels], dray[pixels], toward[pixels], fine)
         keep = share > 0.0
         return Coverage((v * self.scene.camera.width + column + self._low[0])[keep], disc[keep], share[keep])
@@ -155,9 +162,9 @@ class Surface:
         uv, duv = self._project(directions[near])
         # The ellipse of a disc's rim, and around it a margin, for the disc's arch, too
         rim = scene.ball_radius * np.sin(scene.disc_angle) * tangent_basis(directions[near])
-        A = _WIDER * duv @ (scene.pose.rotation.T @ rim)
+        A = _EXTENT_FACTOR * duv @ (scene.pose.rotation.T @ rim)
         arch = scene.ball_radius * (1.0 - np.cos(scene.disc_angle)) * np.linalg.norm(duv, axis=(1, 2))
-        margin = (_MARGIN + arch) * (_MARGIN + arch + 2.0 * np.linalg.norm(A, axis=(1, 2)))
+        margin = (_TESTED_MARGIN_PX + arch) * (_TESTED_MARGIN_PX + arch + 2.0 * np.linalg.norm(A, axis=(1, 2)))
         S = A @ A.transpose(0, 2, 1) + margin[:, None, None] * np.eye(2)
         wide = int(np.sqrt(np.max(S))) + 1
         dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
@@ -241,13 +248,13 @@ class Surface:
         directions, times = self._directions(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
         discs = np.flatnonzero((angle < self._horizon) & self._there)
-        phase = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+        phase = np.linspace(0.0, 2.0 * np.pi, _POLYGON_CORNERS, endpoint=False)
         around = np.stack([np.cos(phase), np.sin(phase)], axis=1)
         middle = scene.disc_directions[discs]
         ring = np.cos(scene.disc_angle) * middle[:, None]
         ring = ring + np.sin(scene.disc_angle) * (around @ np.swapaxes(tangent_basis(middle), 1, 2))
-        edges, _ = self._directions(attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _CORNERS))
-        blob, area = _polygon(self._project(edges)[0].reshape(len(discs), _CORNERS, 2))
+        edges, _ = self._directions(attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _POLYGON_CORNERS))
+        blob, area = _polygon(self._project(edges)[0].reshape(len(discs), _POLYGON_CORNERS, 2))
         cut = angle[discs] + scene.disc_angle > self._horizon  # by the limb
         area[cut], blob[cut] = np.nan, np.nan
 

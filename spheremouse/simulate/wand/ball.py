@@ -18,8 +18,10 @@ from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
 from spheremouse.simulate.wand.path import world_to_cam
 from spheremouse.wand.ball import WandBall
 
-_FINE = 6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
-_MARGIN = 2  # px around the ball
+_RAYS_ACROSS_EDGE_PIXEL = (
+    6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
+)
+_MARGIN_PX = 2  # px around the ball
 _UP = world_to_cam() @ (0.0, -1.0, 0.0)  # cam
 
 # Paints as on a screen, blue, green, red: paper or foam as such balls are made of
@@ -83,7 +85,7 @@ def paint_ball(
     corner = np.column_stack([u.ravel(), v.ravel()]) - 0.5
     uv = np.column_stack([u[:-1, :-1].ravel(), v[:-1, :-1].ravel()]).astype(float)
     out = np.zeros((bottom - top, right - left, 4), dtype=np.float32)
-    parts = pixel_parts(max(2, int(np.ceil(_FINE / np.sqrt(len(moments))))))
+    parts = pixel_parts(max(2, int(np.ceil(_RAYS_ACROSS_EDGE_PIXEL / np.sqrt(len(moments))))))
     for pose in moments:
         at = _surface(ball, pose, corner, camera)[0].reshape(u.shape)
         label, normal = _surface(ball, pose, uv, camera)
@@ -103,7 +105,7 @@ def _window(centre: Array, radius: float, camera: InteriorOrientation) -> NDArra
     """
     middle, outline = project_sphere(centre, radius)
     uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
-    half = np.sqrt(np.diag(shape[0])) + _MARGIN
+    half = np.sqrt(np.diag(shape[0])) + _MARGIN_PX
     if not np.all(np.isfinite(half)):
         return np.zeros((2, 2), dtype=np.intp)
     ends = np.array([np.floor(uv[0] - half), np.ceil(uv[0] + half) + 1])

@@ -24,8 +24,8 @@ from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 _FPS = {"drive": 0.8, "hand": 15.0}  # Hz: of the thesis' recording, and as required for a hand
 _FOCAL = {"drive": 2100.0, "hand": 1000.0}  # px at 1280 columns: the thesis' lens, and that of a webcam
 _HAND_SECONDS = 20.0
-_WIDTH = 1280  # px, that those focal lengths are for
-_PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
+_REFERENCE_WIDTH_PX = 1280  # px, that those focal lengths are for
+_HAND_SPEED_M_S = 0.10  # m/s, of the hand past the robot, as in the shared recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
             raise ConfigurationError(f"{named(field)}: {time:g} s is not within the film's {seconds:g} s")
     rng = np.random.default_rng([options.seed, 12])
     outdoors, (width, height) = options.light == "outdoor", options.size
-    focal = _FOCAL[options.motion] * width / _WIDTH if options.focal is None else options.focal
+    focal = _FOCAL[options.motion] * width / _REFERENCE_WIDTH_PX if options.focal is None else options.focal
     scene = WandScene(
         InteriorOrientation(width, height, focal, focal, 0.5 * width, 0.5 * height, np.array(options.dist)),
         tuple(Carried(ball or grzonka_ball(), p, "robot" if options.motion == "drive" else "stick") for p in paths),
@@ -141,7 +141,7 @@ def _passing(
     angle = np.radians(rng.uniform(-30.0, 30.0)) + rng.choice([0.0, np.pi]) if beside else rng.uniform(-np.pi, np.pi)
     x, y = np.cos(angle), np.sin(angle)
     aside = 0.12 * rng.choice([-1.0, 1.0]) if beside else 0.0
-    speed = _PASSES if options.motion == "drive" else 0.5
+    speed = _HAND_SPEED_M_S if options.motion == "drive" else 0.5
     nearest = centre + np.array([-y * aside, x * aside, -0.12])
     return (Passing(options.begin + at, speed * np.array([x, y, 0.0]), nearest, (0.6 if beside else 0.5) / speed),)
 

@@ -25,9 +25,9 @@ TOWARDS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 # Way points of fig. 9: across, away, and back, in halves of the field's width and in lanes; nan: somewhere between
 _WAY = ((-1, 0), (1, 0), (1, 1), (np.nan, 1), (np.nan, 2), (1, 2), (1, 1), (-1, 1), (-1, 2))
 _HALF_WIDTH, _LANES = 0.63, (3.72, 4.0, 4.28)  # m, world x and z
-_WOBBLE = 0.005  # rad, standard deviation of a robot's pitch and of its roll over a bumpy floor
+_WOBBLE_SIGMA_RAD = 0.005  # rad, standard deviation of a robot's pitch and of its roll over a bumpy floor
 _BUMPS = 6  # sinusoids of each
-_SWINGS = 4  # sinusoids of each coordinate of a hand
+_SINUSOIDS_PER_COORDINATE = 4  # sinusoids of each coordinate of a hand
 
 
 class WandPath(Protocol):
@@ -61,7 +61,7 @@ class Drive:
         yaw, x, z, way = (np.interp(t, self.knots[:, 0], column) for column in self.knots.T[1:])
         world = np.stack([x, np.full_like(x, CAMERA_HEIGHT - BALL_HEIGHT), z], axis=-1)
         rate, phase = np.moveaxis(self.bumps, -1, 0)  # (2, m)
-        tilt = _WOBBLE * np.sum(np.sqrt(2.0 / _BUMPS) * np.sin(rate * way[:, None, None] + phase), axis=-1)
+        tilt = _WOBBLE_SIGMA_RAD * np.sum(np.sqrt(2.0 / _BUMPS) * np.sin(rate * way[:, None, None] + phase), axis=-1)
         turn = exp(yaw[:, None] * (0.0, 0.0, 1.0)) @ exp(np.column_stack([tilt[:, ::-1], np.zeros_like(yaw)]))
         R = world_to_cam()
         return world @ R.T, R @ TOWARDS @ turn
@@ -150,8 +150,10 @@ def turning_rates(R: Array, step: float) -> Array:
 
 def _waves(rng: np.random.Generator, size: tuple[float, ...], low: Array | float, high: Array | float) -> Array:
     """Return sinusoids of three coordinates, (3, m, 3): amplitude, rate from `low` to `high` Hz in rad/s, and phase."""
-    omega = 2.0 * np.pi * rng.uniform(low, high, (3, _SWINGS))
-    return np.stack([np.array(size)[:, None] / omega, omega, rng.uniform(0.0, 2.0 * np.pi, (3, _SWINGS))], axis=-1)
+    omega = 2.0 * np.pi * rng.uniform(low, high, (3, _SINUSOIDS_PER_COORDINATE))
+    return np.stack(
+        [np.array(size)[:, None] / omega, omega, rng.uniform(0.0, 2.0 * np.pi, (3, _SINUSOIDS_PER_COORDINATE))], axis=-1
+    )
 
 
 def _sum(waves: Array, t: Array) -> Array:

@@ -20,11 +20,11 @@ from spheremouse.simulate.wand.path import WandPath, world_to_cam
 from spheremouse.simulate.wand.room import Passing, background, card, hand_at, held, lay, linear_hand, robot
 from spheremouse.wand.ball import WandBall
 
-_LENS = 0.45  # px, standard deviation of a lens in focus
-_MARGIN = 3  # px around moving objects, for that blur
+_LENS_SIGMA_PX = 0.45  # px, standard deviation of a lens in focus
+_BLUR_MARGIN_PX = 3  # px around moving objects, for that blur
 _MAX_MOMENTS = 16  # of an exposure
 _TONES = develop(np.arange(16384) / 4096.0).astype(np.float32)
-_SPARE = 64  # px by which the noise is larger than the picture: each frame takes another part of it
+_NOISE_MARGIN_PX = 64  # px by which the noise is larger than the picture: each frame takes another part of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +83,15 @@ class WandRenderer:
         self._hand = linear_hand(draw_hand())
         self._noise: NDArray[np.int16] | None = None
         if scene.noise > 0.0:
-            shape = (scene.camera.height + _SPARE, scene.camera.width + _SPARE, 3)
+            shape = (scene.camera.height + _NOISE_MARGIN_PX, scene.camera.width + _NOISE_MARGIN_PX, 3)
             self._noise = np.rint(scene.noise * rng.standard_normal(shape, dtype=np.float32)).astype(np.int16)
 
     def picture(self, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
         image = self._bytes.copy()
         if layers := self._layers(t):
-            window = _window(layers, self.scene.camera, _MARGIN)
-            around = _window(layers, self.scene.camera, 2 * _MARGIN)
+            window = _window(layers, self.scene.camera, _BLUR_MARGIN_PX)
+            around = _window(layers, self.scene.camera, 2 * _BLUR_MARGIN_PX)
             part = self._still[around].copy()
             for layer in layers:
                 lay(part, layer, (around[1].start, around[0].start))
@@ -100,7 +100,7 @@ class WandRenderer:
         if self._noise is None:
             return image
         # one field of noise at another place in each frame: independent, at a fraction of the time
-        x, y = (int(k) for k in rng.integers(0, _SPARE, 2))
+        x, y = (int(k) for k in rng.integers(0, _NOISE_MARGIN_PX, 2))
         noise = self._noise[y : y + image.shape[0], x : x + image.shape[1]]
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), dtype=np.uint8)
 
@@ -160,7 +160,7 @@ def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
 
 
 def _blurred(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS), dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
 
 
 def _exposed(light: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -22,9 +22,9 @@ from spheremouse.simulate.shapes import Colour, Face, box, post
 from spheremouse.simulate.wand.ball import Layer, paint_of
 from spheremouse.simulate.wand.path import CAMERA_HEIGHT, world_to_cam
 
-_FINE = 4  # subpixels across a pixel where things are drawn
-_SHIFT = 4  # bits of the fixed point numbers that OpenCV draws with
-_NEAR = 0.05  # m, nearer to the camera's plane nothing is drawn
+_SUBPIXELS = 4  # subpixels across a pixel where things are drawn
+_FRACTIONAL_BITS = 4  # bits of the fixed point numbers that OpenCV draws with
+_MIN_DEPTH_M = 0.05  # m, nearer to the camera's plane nothing is drawn
 _TILE, _PER_METRE = 1024, 256  # px of the floor's texture, and per m
 _WALL = 6.2  # m, world z
 _LAMP = np.array([-0.3, -0.85, -0.43])  # towards the light, world
@@ -39,7 +39,7 @@ def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: i
     A face nearer than 5 cm to the camera's plane is left out. The layer has `margin` px round the faces. None if
     nothing is in the picture.
     """
-    seen = [(project(corners, camera)[0], colour) for corners, colour in faces if np.all(corners[:, 2] > _NEAR)]
+    seen = [(project(corners, camera)[0], colour) for corners, colour in faces if np.all(corners[:, 2] > _MIN_DEPTH_M)]
     if not seen or not all(np.all(np.isfinite(outline)) for outline, _ in seen):
         return None
     every, limit = np.concatenate([outline for outline, _ in seen]), (camera.width, camera.height)
@@ -48,17 +48,19 @@ def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: i
     if np.any(high <= low):
         return None
     w, h = (high - low).tolist()
-    drawn = np.zeros((h * _FINE, w * _FINE), dtype=np.uint8)
+    drawn = np.zeros((h * _SUBPIXELS, w * _SUBPIXELS), dtype=np.uint8)
     lights = np.zeros((len(seen) + 1, 4), dtype=np.float32)
     for index, (outline, colour) in enumerate(seen, start=1):
-        fine = (outline - low + 0.5) * _FINE - 0.5
-        cv2.fillPoly(drawn, [np.rint(fine * (1 << _SHIFT)).astype(np.int32)], (index,), shift=_SHIFT)
+        fine = (outline - low + 0.5) * _SUBPIXELS - 0.5
+        cv2.fillPoly(
+            drawn, [np.rint(fine * (1 << _FRACTIONAL_BITS)).astype(np.int32)], (index,), shift=_FRACTIONAL_BITS
+        )
         lights[index] = (*colour, 1.0)
-    first = drawn[::_FINE, ::_FINE]  # most pixels have one colour
+    first = drawn[::_SUBPIXELS, ::_SUBPIXELS]  # most pixels have one colour
     mixed = cv2.resize(drawn, (w, h), interpolation=cv2.INTER_AREA) != first
-    mixed |= drawn[_FINE - 1 :: _FINE, _FINE - 1 :: _FINE] != first
+    mixed |= drawn[_SUBPIXELS - 1 :: _SUBPIXELS, _SUBPIXELS - 1 :: _SUBPIXELS] != first
     paint = lights[first]
-    paint[mixed] = lights[drawn.reshape(h, _FINE, w, _FINE).transpose(0, 2, 1, 3)[mixed]].mean(axis=(1, 2))
+    paint[mixed] = lights[drawn.reshape(h, _SUBPIXELS, w, _SUBPIXELS).transpose(0, 2, 1, 3)[mixed]].mean(axis=(1, 2))
     return Layer((int(low[0]), int(low[1])), paint)
 
 

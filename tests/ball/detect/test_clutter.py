@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from scipy import spatial
 
 from spheremouse.ball.detect import rings
-from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
+from spheremouse.ball.detect.rings import MAX_COPIES, TargetDetections, detect_targets
 from spheremouse.ball.pose import Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
@@ -78,9 +78,9 @@ def test_nests_are_those_of_every_pair(ratio):
         for code in map("".join, permutations("CMY")):
             best = every_pair([layers[colour] for colour in code], settings)
             found = [c.middle for c in candidates if c.code == code]
-            assert_array_equal(np.reshape(found, (-1, 2)), layers[code[2]].centre[best[:MOST]])
+            assert_array_equal(np.reshape(found, (-1, 2)), layers[code[2]].centre[best[:MAX_COPIES]])
             most, count = max(most, len(best)), count + len(best)
-        assert more == (most > MOST)
+        assert more == (most > MAX_COPIES)
     assert count > 50
 
 
@@ -151,11 +151,11 @@ def test_targets_among_a_thousand_dots_are_found_and_measured():
 
 def test_of_many_copies_the_best_are_measured_and_that_there_are_more_is_said():
     image = blank(260, 320)
-    for k in range(MOST + 5):
+    for k in range(MAX_COPIES + 5):
         target(image, "CMY", (30.0 + 60 * (k % 5), 30.0 + 60 * (k // 5)), 16.0)
     target(image, "YMC", (30.0, 230.0), 16.0)
     seen = detect_targets(photo(image), RADII, SETTINGS)
-    assert seen.codes == ("CMY",) * MOST + ("YMC",)
+    assert seen.codes == ("CMY",) * MAX_COPIES + ("YMC",)
     assert seen.crowded
     few = detect_targets(photo(image[180:]), RADII, SETTINGS)
     assert few.codes == ("YMC",)

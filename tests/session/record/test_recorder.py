@@ -336,7 +336,7 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     rig, pose, frames = film()
     recorder = begin(tmp_path / "made", EVERYTHING, (rig, pose))
     taken = [i for i in range(300) if recorder.add(Frame(frames[i % 60].image, 0.01 * i, i))]
-    buffers = int(module._BUFFERS / frames[0].image.size)
+    buffers = int(module._MAX_QUEUED_BYTES / frames[0].image.size)
     assert taken == list(range(len(taken)))
     assert buffers <= len(taken) <= buffers + 1
     assert recorder.status().dropped == 300 - len(taken)

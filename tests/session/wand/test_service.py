@@ -197,7 +197,7 @@ def test_other_parameters_are_used_and_the_ball_is_followed_on(playing):
 
 
 def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monkeypatch):
-    monkeypatch.setattr("spheremouse.session.service._EVERY", 0.05)
+    monkeypatch.setattr("spheremouse.session.service._CHECK_INTERVAL_S", 0.05)
     ball = playing.scene.balls[0].ball
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
     playing.config.write_text(playing.config.read_text().replace("points: 1", "balls: [mine.yaml]"))

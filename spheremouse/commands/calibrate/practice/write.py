@@ -16,7 +16,7 @@ from spheremouse.simulate.ball.profile import shown_to_axes
 from spheremouse.simulate.ball.render import RenderOptions
 from spheremouse.simulate.ball.stills import DeviceShape, Stills, photos, truth_of
 
-_FPS = 10.0  # Hz, enough for gestures
+_GESTURE_FPS = 10.0  # Hz, enough for gestures
 _TAPE_SIGMA = 0.001  # m, standard deviation of a tape measure held by hand
 # as in the reference sets: at half the resolution the colours of narrow rings mix
 _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
@@ -60,7 +60,7 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
 def film_of(stills: Stills) -> Simulation:
     """Return a film of the gestures for `spheremouse axes`, from the place of the first photo."""
     profile = shown_to_axes()
-    return Simulation(stills.scene, profile, RenderOptions(), profile.seconds, _FPS, stills.seed)
+    return Simulation(stills.scene, profile, RenderOptions(), profile.seconds, _GESTURE_FPS, stills.seed)
 
 
 # ---- device.yaml ----
