@@ -27,12 +27,12 @@ class SignalHandler:
 
     def __init__(self) -> None:
         self.asked = False
-        self._waiting = False
-        self._heard = 0.0  # s, time of the first signal
+        self._waiting = False  # `frames` waits for a frame
+        self._first_time = 0.0  # s, monotonic, of the first signal
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        self._before = {s: signal.signal(s, self._hear) for s in _SIGNALS}
+        self._before = {s: signal.signal(s, self._handle) for s in _SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -55,14 +55,15 @@ class SignalHandler:
                 return
             yield frame
 
-    def _hear(self, number: int, _frame: FrameType | None) -> None:
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        """Request the end of the run at the first signal. Let a second one act by the handlers of before the block."""
         now = time.monotonic()
         if self.asked:
-            if now - self._heard > _DUPLICATE_SIGNAL_S:
+            if now - self._first_time > _DUPLICATE_SIGNAL_S:
                 self._restore()
                 signal.raise_signal(number)
             return
-        self.asked, self._heard = True, now
+        self.asked, self._first_time = True, now
         if self._waiting:
             self._waiting = False
             raise _StopRequest

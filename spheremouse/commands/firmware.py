@@ -44,12 +44,15 @@ def install(
 def check(
     port: Annotated[str, typer.Option(metavar="PORT", help="Serial port; auto finds the board.")] = "auto",
     baud: Annotated[
-        int | None, typer.Option(metavar="N", help="Speed of a plain serial line.  [default: 115200]")
+        int | None, typer.Option(metavar="N", help="Speed of a serial adapter; USB ignores it.  [default: 115200]")
     ] = None,
     json_file: JsonFile = None,
     force: Force = False,
 ) -> None:
-    """Ask the board for its firmware's version, whether a computer takes its mouse, and its damaged frames."""
+    """Print a board's firmware version, whether a computer uses its mouse, and its damaged frames.
+
+    The exit code is 1 if the version is not this program's, no computer uses the mouse, or many frames are damaged.
+    """
     from spheremouse.output.serial import BAUD, Serial, firmware, validate_baud
     from spheremouse.output.serial.ports import find_board
 
@@ -64,8 +67,8 @@ def check(
     finally:
         output.close()
     if identity is None or status is None:
-        problem = f"serial: {name}: answers HELLO, but not STATUS?: the line damages frames"
-        raise OutputError(problem, "use shorter wires, and see that GND is connected")
+        problem = f"serial: {name}: the board answered the greeting, but not the request for its status"
+        raise OutputError(problem, "plug it in again; with an adapter, use shorter wires and connect GND")
     ours = firmware.own_version()
     wrong = [*_version_problems(identity.firmware, ours, identity.kind), *_line_problems(status)]
     found = {
@@ -81,7 +84,8 @@ def check(
     }
     if json_file is None or not write_json(json_file, found):
         typer.echo(f"here: firmware {found['here']}\n{name}: {identity}; {status}")
-        for line in wrong or [f"all is well; next: spheremouse run --source ... --output serial:{port}"]:
+        spec = f"serial:{port}" if baud is None else f"serial:{port},baud={speed}"
+        for line in wrong or [f"all is well; next: spheremouse run --source ... --output {spec}"]:
             typer.echo(line)
     if wrong:
         raise typer.Exit(1)

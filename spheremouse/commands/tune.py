@@ -24,18 +24,20 @@ def tune(
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the search.")] = 1,
     out: Annotated[
         Path | None,
-        typer.Option("--output", metavar="FILE", help="Write the configuration.  [default: print the new settings]"),
+        typer.Option(
+            "--output", metavar="FILE", help="Also write the configuration.  [default: only print the new settings]"
+        ),
     ] = None,
     config_file: ConfigFile = None,
     assignments: Assignments = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Search settings of filter, discs and loss for which a recording of the ball in its frame is tracked better.
+    """Search the sections so3, discs and loss of the settings for values that track a recording of a ball better.
 
-    With truth, better means smaller errors of attitude and angular velocity. Without it, it means consistent
-    innovations, more discs in use and a smooth rate. The search uses the first half of the recording. If the result is
-    not significantly better on the second half, the command reports that and writes nothing. Ctrl-C ends the search and
-    tests the best settings so far. The command needs the extra `tune`.
+    The search minimises a cost. With truth, that is the errors of attitude and angular velocity. Without truth, it is
+    inconsistent innovations, unused discs and a rough angular velocity. The search uses the first half of the
+    recording. If the cost of the second half is not significantly smaller, the command reports that and writes nothing.
+    Ctrl-C ends the search and tests the best settings so far. The command needs the extra `tune`.
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import progress_bar
@@ -51,8 +53,8 @@ def tune(
     with progress_bar() as progress:
         task = progress.add_task("tuning", total=trials)
 
-        def show(count: int, part: float) -> None:
-            progress.update(task, completed=count, description=f"tuning: loss {100 * part:.0f} % of the present")
+        def show(count: int, relative_cost: float) -> None:
+            progress.update(task, completed=count, description=f"tuning: cost {100 * relative_cost:.0f} % of now")
 
         found = tune(open_dataset(recording), settings, seconds, trials, seed, show)
     print(f"{found.trials} trial{'' if found.trials == 1 else 's'}")
@@ -60,8 +62,8 @@ def tune(
         print(f"nothing changed: {_reason(found)}")
         return
     for key, value in found.values.items():
-        print(f"{key}={config.to_yaml(value)}  saves {100 * found.gains[key]:.0f} % of the loss")
-    print(f"on the second half of the recording the loss is {100 * found.held_out.gain:.0f} % smaller")
+        print(f"{key}={config.to_yaml(value)}  saves {100 * found.gains[key]:.0f} % of the cost")
+    print(f"on the second half of the recording the cost is {100 * found.held_out.gain:.0f} % smaller")
     if out is not None:
         write_atomically(out, config.dump(changed(settings, found.values), Configuration()))
         print(f"{out}: written")
@@ -71,7 +73,7 @@ def _reason(found: "Tuning") -> str:
     if not found.values:
         return "no trial was better than the present settings"
     return (
-        "on the second half of the recording, the best settings change the loss by "
+        "on the second half of the recording, the best settings change the cost by "
         f"{-100 * found.held_out.gain:+.1f} %, which is no significant gain"
     )
 

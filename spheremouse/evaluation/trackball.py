@@ -288,11 +288,12 @@ def axes_of(match: Match) -> TrackballAxes:
     return max(found, key=lambda axes: float(np.sum(axes.scale)))
 
 
-def settings_of(match: Match, radius: float | None, before: MotionSettings) -> MotionSettings:
-    """Return settings that move x and y of the pointer as the trackball did; the third axis stays as in `before`.
+def settings_of(match: Match, radius: float | None, current: MotionSettings) -> MotionSettings:
+    """Return settings with which x and y of the pointer move as the trackball did.
 
-    `radius` is the ball's in m. If it is None, as for a rig of free scale, the scale is per radian. Both axes get one
-    scale if they differ by no more than twice the standard deviation of their difference.
+    The third axis stays as in the `current` settings. `radius` is the ball's in m. If it is None, because the rig has
+    no scale, the result has `counts_per_radian`, which overrides `counts_per_mm`. Both axes get one scale if they
+    differ by no more than twice the standard deviation of their difference.
     """
     axes = axes_of(match)
     x, y = axes.scale.tolist()
@@ -301,13 +302,13 @@ def settings_of(match: Match, radius: float | None, before: MotionSettings) -> M
     unit = 1.0 if radius is None else 1000.0 * radius  # mm/rad
     scale = _rounded(float(np.sqrt(x * y)) / unit)
     return replace(
-        before,
+        current,
         player=axes.player,
-        counts_per_mm=before.counts_per_mm if radius is None else scale,
+        counts_per_mm=current.counts_per_mm if radius is None else scale,
         counts_per_radian=scale if radius is None else None,
         scale_x=1.0 if x == y else _rounded(x / (unit * scale)),
         scale_y=1.0 if x == y else _rounded(y / (unit * scale)),
-        scale_z=_rounded(before.scale_z * before.scale(radius) / (unit * scale)),
+        scale_z=_rounded(current.scale_z * current.scale(radius) / (unit * scale)),
         invert_x=False,
         invert_y=axes.mirrored,
     )

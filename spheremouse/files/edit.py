@@ -52,41 +52,46 @@ def check_place(path: Path) -> None:
 
 def _with(text: str, key: tuple[str, ...], value: Any) -> str:
     """Return the text with one setting replaced or added."""
-    end = "\r\n" if "\r\n" in text else "\n"
+    newline = "\r\n" if "\r\n" in text else "\n"
     node: Any = YAML(typ="safe", pure=True).compose(text)
     indent, after = "", None  # indentation within the section; end of the section's own key
     for depth, name in enumerate(key):
         pair = next(((k, v) for k, v in node.value if k.value == name), None)
         if pair is None:
-            return _inserted(text, node, key[depth:], value, indent, after, end)
+            return _insert_key(text, node, key[depth:], value, indent, after, newline)
         name_node, node = pair
         if depth == len(key) - 1:
             return text[: node.start_mark.index] + config.to_yaml(value) + text[node.end_mark.index :]
         if isinstance(node, ScalarNode):  # the section is null, or all its keys are commented out
             whole = text[: node.start_mark.index] + text[node.end_mark.index :] if node.value else text
-            return _inserted(whole, None, key[depth + 1 :], value, indent + "  ", name_node.end_mark.index, end)
+            return _insert_key(whole, None, key[depth + 1 :], value, indent + "  ", name_node.end_mark.index, newline)
         if not node.flow_style and node.value:
             indent = " " * node.value[0][0].start_mark.column
         after = name_node.end_mark.index
     return text
 
 
-def _inserted(
-    text: str, node: MappingNode | None, key: tuple[str, ...], value: Any, indent: str, after: int | None, end: str
+def _insert_key(
+    text: str, node: MappingNode | None, key: tuple[str, ...], value: Any, indent: str, after: int | None, newline: str
 ) -> str:
-    """Return the text with a new key and its sections, in the section `node`. The key of `node` ends at `after`."""
+    """Return the text with a new key as the first of a section, or as the last of the file.
+
+    `key` is the missing end of the path: sections that the text lacks, then the name. `node` is the section that the
+    text has; None if that is empty, and then the text has no `null` there. The section's name ends at the offset
+    `after`; None is the top level. `indent` stands before the new key in a section that has no braces.
+    """
     if node is not None and node.flow_style:
         inner = config.to_yaml(value)
         for name in reversed(key[1:]):
             inner = f"{{{name}: {inner}}}"
-        at = node.start_mark.index + 1
-        return text[:at] + f"{key[0]}: {inner}{', ' if node.value else ''}" + text[at:]
+        brace_end = node.start_mark.index + 1
+        return text[:brace_end] + f"{key[0]}: {inner}{', ' if node.value else ''}" + text[brace_end:]
     lines = [f"{indent}{'  ' * k}{name}:" for k, name in enumerate(key)]
-    block = end.join(lines) + f" {config.to_yaml(value)}{end}"
+    block = newline.join(lines) + f" {config.to_yaml(value)}{newline}"
     if after is None:
-        return text + ("" if text.endswith("\n") or not text else end) + block
-    line = text.find("\n", after)
-    return text + end + block if line < 0 else text[: line + 1] + block + text[line + 1 :]
+        return text + ("" if text.endswith("\n") or not text else newline) + block
+    line_end = text.find("\n", after)
+    return text + newline + block if line_end < 0 else text[: line_end + 1] + block + text[line_end + 1 :]
 
 
 def put(data: Any, key: Key, value: Any) -> None:

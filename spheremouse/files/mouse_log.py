@@ -42,7 +42,11 @@ def write_log(path: Path, about: str, reports: Iterable[MouseReport]) -> None:
 
 
 def read_log(path: Path) -> MouseLog:
-    """Read times and counts of a log. DatasetError gives the line, or the number of the report."""
+    """Return times and counts of a log that `spheremouse log-mouse` wrote.
+
+    Raises DatasetError with the line of a malformed value, with the number of a report, from 1, whose time is before
+    that of the last one, or if the log is longer than a recording can be.
+    """
     if not path.exists():
         raise DatasetError(f"{path}: no such file; make one with `spheremouse log-mouse`")
     table = read_columns(path, _COLUMNS)

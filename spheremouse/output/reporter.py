@@ -66,8 +66,8 @@ class OutputThread:
         self._failures = 0
         self._retry_time = clock()  # s, when the thread opens the output
         self._resampler = Resampler()
-        self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since the output was opened
-        self._past, self._unsent = _NONE, _NONE
+        self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since `_reset`
+        self._past, self._unsent = _NONE, _NONE  # counts sent before that, and those that will never be sent
         self._calls = CallWatch(lambda reason: log(f"{name}: {reason}"), clock)
         self._reports = self._dropped = 0
         self._latency = LatencyLog()
@@ -129,12 +129,16 @@ class OutputThread:
         return self._sums()[2]
 
     def _sums(self) -> tuple[str | None, Counts, Counts, Counts]:
-        """Return the reason of a failure, and the counts sent, unsent and ahead."""
+        """Return the reason of a failure, and the counts that arrived, are unsent, and are ahead of the frames.
+
+        Counts are ahead if the prediction sent them before a frame confirmed them. Of a failed output, all counts of
+        frames that have not arrived are unsent, also those in the queue.
+        """
         failed, past, sent, delivery = self.failed, self._past, self._sent, _delivery(self._output)
         arrived = minus(plus(past, sent), plus(delivery.waiting, delivery.lost))
         unsent = plus(plus(self._unsent, self._overflow), delivery.lost)
         ahead = minus(minus(sent, self._frame_sum), delivery.waiting)
-        if failed is not None:  # counts that have not arrived will not arrive
+        if failed is not None:
             return failed, arrived, plus(minus(unsent, ahead), self.queued), _NONE
         return None, arrived, unsent, ahead
 

@@ -107,14 +107,19 @@ def _obstacle(node: Path) -> tuple[str, str] | None:
 
 
 def write_events(kind: str, device: Any, event_type: int, events: Sequence[tuple[int, int]]) -> None:
-    """Write events of one type, (code, value), as one report. Raise OutputError of the output `kind` if refused."""
+    """Write events of one type, (code, value of 32 bits), as one report; without events, write none.
+
+    Raises OutputError, which begins with the output's `kind`, if the kernel refuses them.
+    """
     if not events:
         return
     report = [_EVENT.pack(0, 0, event_type, code, value) for code, value in events]
     try:  # by one system call; evdev makes one for each event
         os.write(device.fd, b"".join([*report, _EVENT.pack(0, 0, EV_SYN, SYN_REPORT, 0)]))
     except OSError as e:
-        raise OutputError(f"{kind}: the kernel takes no more events ({e.strerror or e})", "start again") from None
+        raise OutputError(
+            f"{kind}: the kernel takes no more events ({e.strerror or e})", "start spheremouse again"
+        ) from None
 
 
 def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[Any]]) -> Any:

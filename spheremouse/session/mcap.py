@@ -245,24 +245,27 @@ def channel_schema(statistics: dict[str, Any]) -> dict[str, Any]:
     `statistics` has the names of a frame's figures. Matrices are in the messages; only their description is missing.
     """
     schema = _sample_schema()
-    fields = {name: _field(field, schema["$defs"]) for name, field in schema["properties"].items()}
+    fields = {name: _simplify_field(field, schema["$defs"]) for name, field in schema["properties"].items()}
     fields["statistics"]["properties"] = {name: {"type": "number"} for name in statistics}
     described = {name: field for name, field in fields.items() if field.get("items", {}).get("type") != "array"}
     return {"title": schema["title"], "description": schema["description"], "type": "object", "properties": described}
 
 
-def _field(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return type, items and description of a field that is known."""
-    given = field
+def _simplify_field(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return type, items and description of a sample's field in JSON Schema, without references and null.
+
+    Unknown values are left out of the messages (`known_values`), so none is null.
+    """
+    content = field
     if "anyOf" in field:
-        given = next(choice for choice in field["anyOf"] if choice != {"type": "null"})
-    if "$ref" in given:
-        given = definitions[given["$ref"].rpartition("/")[2]]
-    kind = given.get("type", "string")  # an enumeration has no type
-    made = {"type": kind if isinstance(kind, str) else kind[0]}
-    if "items" in given:
-        made["items"] = {"type": given["items"]["type"]}
-    return made | ({"description": field["description"]} if "description" in field else {})
+        content = next(choice for choice in field["anyOf"] if choice != {"type": "null"})
+    if "$ref" in content:
+        content = definitions[content["$ref"].rpartition("/")[2]]
+    kind = content.get("type", "string")  # enumerations in `sample.schema.json` have no type
+    simple = {"type": kind if isinstance(kind, str) else kind[0]}
+    if "items" in content:
+        simple["items"] = {"type": content["items"]["type"]}
+    return simple | ({"description": field["description"]} if "description" in field else {})
 
 
 @cache

@@ -297,16 +297,20 @@ class Daemon:
             realtime.claim(thread)
 
     def _close(self) -> None:
-        """Close all parts, the last one first. An error of one does not stop the others."""
-        with contextlib.ExitStack() as last:
-            last.callback(self._log.flush, end=True)
-            last.callback(self._stack.close)
-            last.callback(self.adapter.close)
-            last.callback(self._workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # its results are not used any more
-            last.callback(self._archive.close)
-            last.callback(self._pictures.close)
-            last.callback(self._outputs.close)
-            last.callback(self._capture.close)
+        """Close the camera, outputs and all other parts, in the reverse order of the callbacks.
+
+        An error of one does not stop the others, and is raised at the end. Workers finish writing files and opening
+        outputs; the results of other work are not used any more.
+        """
+        with contextlib.ExitStack() as closing:
+            closing.callback(self._log.flush, end=True)
+            closing.callback(self._stack.close)
+            closing.callback(self.adapter.close)
+            closing.callback(self._workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)
+            closing.callback(self._archive.close)
+            closing.callback(self._pictures.close)
+            closing.callback(self._outputs.close)
+            closing.callback(self._capture.close)
 
     def _log_now(self, text: str) -> None:
         self._print(text)

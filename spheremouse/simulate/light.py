@@ -173,11 +173,16 @@ def _step(x: Array, width: Array | float) -> Array:
 
 
 def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
-    """Share of the half-space over each point that a polygon fills, weighted by the cosine, (n,)."""
+    """Return the form factor of a polygon from points (n, 3) with unit normals (n, 3), (n,) from 0 to 1 (Lambert 1760).
+
+    It is the fraction of the hemisphere over the point that the polygon covers, weighted by the cosine from the normal.
+    `corners` (m, 3) go to the left, seen from the points: from its other side the polygon gives 0. A part of it below
+    the horizon of a point would count as negative.
+    """
     total = np.zeros(len(points))
-    to = [corner - points for corner in corners]
-    to = [v / np.maximum(_length(v), 1e-9)[:, None] for v in to]
-    for a, b in zip(to, [*to[1:], to[0]], strict=True):
+    directions = [corner - points for corner in corners]
+    directions = [v / np.maximum(_length(v), 1e-9)[:, None] for v in directions]
+    for a, b in zip(directions, [*directions[1:], directions[0]], strict=True):
         cross = np.cross(a, b)
         length = np.maximum(_length(cross), 1e-12)
         total += np.arctan2(length, _dot(a, b)) / length * _dot(cross, normals)

@@ -63,7 +63,7 @@ class Daemon:
         self._setting = asyncio.Lock()  # one `set` is under way
         self._next_change = 0.0  # s, monotonic
         self._refreshing: asyncio.Task[None] | None = None
-        self._read_for: list[Any] = []  # parts of the status for which settings and scene were read
+        self._described_for: list[Any] = []  # `_described_by` of the status for which `_described` was read
         self._loop = asyncio.get_running_loop()
         self._wanted, self._closed = threading.Event(), False
         threading.Thread(target=self._run, name="daemon", daemon=True).start()
@@ -160,7 +160,7 @@ class Daemon:
         """Take over new values, and publish them."""
         for about in self._described.settings:
             about["value"] = values.get(about["key"], about["value"])
-        self._read_for = []  # another client may change them back before a status shows this change
+        self._described_for = []  # another client may change them back before a status shows this change
         self.publish(self.values())
 
     # ---- events, in the loop ----
@@ -174,7 +174,12 @@ class Daemon:
         self.status, self.trouble = None, trouble
         self.publish(self.state())
 
-    def _take(self, event: Message) -> None:
+    def _receive(self, event: Message) -> None:
+        """Store and publish a log line or a status.
+
+        If the status shows a change, read settings, scene and profiles again. One reading is under way at a time. After
+        a failed one, the next status starts another.
+        """
         kind = event.pop("event", None)
         if kind == "log":
             text = str(event.get("text", ""))
@@ -183,14 +188,14 @@ class Daemon:
         elif kind == "status":
             self.status = event
             self.publish(self.state())
-            if _described_by(event) != self._read_for and (self._refreshing is None or self._refreshing.done()):
-                self._refreshing = self._loop.create_task(self._read_again(_described_by(event)))
+            if _described_by(event) != self._described_for and (self._refreshing is None or self._refreshing.done()):
+                self._refreshing = self._loop.create_task(self._refresh_description(_described_by(event)))
 
-    async def _read_again(self, read_for: list[Any]) -> None:
+    async def _refresh_description(self, described_for: list[Any]) -> None:
         with contextlib.suppress(ControlError):
             async with self._setting:  # else an older value could replace one that was just set
                 before, self._described = self._described, await asyncio.to_thread(self._read)
-            self._read_for = read_for
+            self._described_for = described_for
             _, scene, profiles = self._described
             bare = [[{**about, "value": None} for about in d.settings] for d in (before, self._described)]
             if bare[0] != bare[1] or profiles != before.profiles:
@@ -213,7 +218,7 @@ class Daemon:
                         if event.get("event") == "sample":
                             self._store(event["sample"])
                         else:
-                            self._post(self._take, event)
+                            self._post(self._receive, event)
                         if not client.has_received:
                             time.sleep(_SAMPLE_POLL_S)
             except ControlError as e:

@@ -226,10 +226,11 @@ def search_picture(context: SearchContext, first_spot: int) -> Modes:
 
 
 def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_spot: int = 0) -> Modes:
-    """Return peaks near the `count` best hypotheses that the spots of a region give.
+    """Return peaks from the `count` best hypotheses that the spots of a region give, from spot `first_spot` on.
 
-    A hypothesis is wrong by some hundredths of the ball's diameter. Large balls are therefore refined in a reduced
-    picture first.
+    A hypothesis is wrong by some hundredths of the ball's diameter. Hypotheses of a large ball are therefore refined in
+    a reduced picture first, in groups of one reduction. At last the peaks are refined in the picture in which a tracked
+    ball of the best peak's size would be measured.
     """
     tracker, ball = context.tracker, context.ball
     guess = pose_hypotheses(find_spots(fields), ball, tracker.camera, tracker.names, tracker.settings, first_spot)
@@ -243,8 +244,8 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
             rotation.append(guess.rotation[group])
             continue
         reduced = context.scene.part(covered_region(fields), int(factor))
-        part = int(np.ceil(count * np.mean(group)))
-        modes = refine_modes(guess.position[group], guess.rotation[group], part, context, reduced, outline=False)
+        group_count = int(np.ceil(count * np.mean(group)))
+        modes = refine_modes(guess.position[group], guess.rotation[group], group_count, context, reduced, outline=False)
         position.append(modes.position)
         rotation.append(modes.rotation)
     if not position:
@@ -253,8 +254,8 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
     if modes.peaks:
         factor = reduction_factor(2.0 * tracker.camera.fx * ball.radius / modes.peaks[0].position[2])
         if factor > fields.factor:
-            larger = context.scene.part(covered_region(fields), factor)
-            modes = refine_modes(modes.position, modes.rotation, _MAX_PEAKS, context, larger)
+            reduced = context.scene.part(covered_region(fields), factor)
+            modes = refine_modes(modes.position, modes.rotation, _MAX_PEAKS, context, reduced)
     return replace(modes, next_spot=guess.next_spot)
 
 

@@ -66,23 +66,27 @@ class PickedBounds:
 
 
 def pick_bounds(image: NDArray[np.uint8], ball: WandBall, circle: Circle | None = None) -> PickedBounds:
-    """Return bounds for the colours of a ball from a picture, (h, w, 3) BGR.
+    """Return bounds for the colours of a ball's discs from a picture, (h, w, 3) BGR, that separate them from the rest.
 
-    Raises ConfigurationError if the picture shows no ball or no discs of a colour.
+    `circle` is the ball's outline; None: search for it. Hue in degrees and saturation of 255 are those of `hsv`;
+    brightness is normalised as by the tracker. Raises ConfigurationError if the picture shows no ball or no discs of
+    one of the colours, or if bounds select half of the picture.
     """
     circle = find_ball(image, ball) if circle is None else _check_circle(circle, image)
     hue, saturation, value = hsv(image)
     gain = MEAN_BRIGHTNESS / max(picture_colours(image, DEFAULT_COLOURS, ("light",)).mean, 1.0)
     inner = circle_mask(image.shape[:2], circle, _INNER_RADIUS)
-    beside = ~circle_mask(image.shape[:2], circle, _OUTER_RADIUS)
-    ours, rest = ((hue[where], saturation[where], gain * value[where]) for where in (inner, beside))
+    background = ~circle_mask(image.shape[:2], circle, _OUTER_RADIUS)
+    ours, rest = ((hue[where], saturation[where], gain * value[where]) for where in (inner, background))
     colours = {}
     for name in ball.colours:
         if name in ("dark", "light"):
             colours[name] = _by_brightness(name, ours[2], rest[2])
         else:
             colours[name] = _by_hue(name, ours, rest)
-    return check_bounds(image, colours, circle, "take one with more light on the ball, or before another background")
+    return check_bounds(
+        image, colours, circle, "take a picture with more light on the ball, or with another background"
+    )
 
 
 def check_bounds(

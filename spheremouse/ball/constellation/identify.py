@@ -103,17 +103,21 @@ def attitude(
     return Attitude(R[best].copy(), np.stack([central[rows], columns[best][rows]], axis=1), error)
 
 
-def posterior_error(R: Array, information: Array, value: Array, null: float, gate: float) -> tuple[int, float]:
-    """Return the index of the best attitude and the probability that it is wrong.
+def posterior_error(
+    R: Array, information: Array, log_evidence: Array, null_log_evidence: float, gate: float
+) -> tuple[int, float]:
+    """Return the index of the best attitude and the posterior probability that it is wrong.
 
-    R (h, 3, 3) are attitudes with their information, (h, 3, 3) 1/rad², and log evidence, (h,). `null` is that of no
-    attitude. Attitudes within `gate` squared standard deviations of the best one count as the same.
+    R (h, 3, 3) are h >= 1 attitudes of equal prior probability. Their information, (h, 3, 3) 1/rad², has the axes of
+    the frame of `seen`. `log_evidence`, (h,), is -inf for a repeated attitude, which would count twice. The other
+    explanations together have `null_log_evidence`. An attitude counts as the best one if its squared Mahalanobis
+    distance from that is below `gate`.
     """
-    best = int(np.argmax(value))
-    turn = log(R @ R[best].T)
-    same = np.einsum("hi,ij,hj->h", turn, information[best], turn) < gate
+    best = int(np.argmax(log_evidence))
+    error = log(R @ R[best].T)
+    same = np.einsum("hi,ij,hj->h", error, information[best], error) < gate
     same[best] = True
-    weight = np.exp(np.append(value, null) - max(value[best], null))
+    weight = np.exp(np.append(log_evidence, null_log_evidence) - max(log_evidence[best], null_log_evidence))
     return best, float((weight[-1] + weight[:-1][~same].sum()) / weight.sum())
 
 

@@ -108,11 +108,11 @@ class ColourContrast(NamedTuple):
 
 
 def colour_contrast(image: Image, mask: Image, found: Detections, diameter: float) -> ColourContrast | None:
-    """Return the contrast of the discs `found` in a picture, (h, w, 3) BGR, of 8 bits.
+    """Return the mean difference of ball less discs in a picture, (h, w, 3) BGR of 8 bits, and the noise covariance.
 
-    `mask`, (h, w), is not 0 on the ball, and `diameter` px is that of a disc that faces the camera. Discs that are seen
-    too obliquely or show too few pixels do not count. Returns None if fewer than three count, or if they have no
-    contrast.
+    `fisher` of the result is the projection to grey with the most contrast. `mask`, (h, w), is not 0 on the ball, and
+    `diameter` px is that of a disc that faces the camera. Discs that are seen too obliquely or show too few pixels do
+    not count. Returns None if fewer than `_MIN_DISCS` count, or if the difference is exactly 0.
     """
     by_disc = []
     facing = found.take(found.area > _MIN_FACING_AREA * 0.25 * np.pi * diameter**2)

@@ -217,15 +217,18 @@ def turned(angles: Array, points: Array) -> tuple[Array, Array]:
 
 
 def angular_velocity(angles: Array, angle_rates: Array) -> tuple[Array, Array, Array]:
-    """w_obj = E(angles) @ angle_rates, (3,) rad/s, with dw_dangles, (3, 3) 1/s, and dw_drates = E, (3, 3)."""
+    """Return w_obj = E @ angle_rates, (3,) rad/s, dw_dangles, (3, 3) 1/s, and dw_drates = E, (3, 3).
+
+    The angles are omega, phi, kappa, (3,) rad, of R_obj_ball = Rx Ry Rz, so w_obj is along the axes of `obj`.
+    """
     so, sp, _ = np.sin(angles)
     co, cp, _ = np.cos(angles)
-    _, b, c = angle_rates
+    _, phi_rate, kappa_rate = angle_rates
     dw_dangles = np.array(
         [
-            [0.0, cp * c, 0.0],
-            [-so * b - co * cp * c, so * sp * c, 0.0],
-            [co * b - so * cp * c, -co * sp * c, 0.0],
+            [0.0, cp * kappa_rate, 0.0],
+            [-so * phi_rate - co * cp * kappa_rate, so * sp * kappa_rate, 0.0],
+            [co * phi_rate - so * cp * kappa_rate, -co * sp * kappa_rate, 0.0],
         ]
     )
     E = euler_rate_matrix(angles)

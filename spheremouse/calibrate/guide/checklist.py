@@ -247,17 +247,20 @@ def _own_cabinet_step(folder: Path) -> Step:
 
 
 def _service_step(folder: Path, services: Sequence[Path]) -> Step:
-    try:
-        own = sha256(folder / RIG_FILE)
-        served = [place for place in services if (place / RIG_FILE).is_file() and sha256(place / RIG_FILE) == own]
-    except CalibrationError:  # no rig yet, or a service's file that this account may not read
-        served = []
+    """Return the last step: done if the rig of one of the `services` has the contents of this folder's.
+
+    Without a rig in the folder, an earlier step is next, and this one comes later.
+    """
+    own = _hash_or_none(folder / RIG_FILE)
+    served = [place for place in services if own is not None and _hash_or_none(place / RIG_FILE) == own]
     if served:
         return Step("service", "done", f"{served[0] / RIG_FILE} is this calibration")
     config = services[0] / CONFIG_FILE
     todo = ("All is calibrated. Try it; `spheremouse ctl watch` in another terminal shows the ball's motion:",)
     try_first = "If the pointer goes where the ball goes, install the service, which starts with the computer:"
-    copy_settings = f"Copy source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:"
+    copy_settings = (
+        f"Copy the sections source, camera and motion from {folder / CONFIG_FILE} into {config}. Then start it:"
+    )
     install = (
         (try_first, "sudo spheremouse service install"),
         ("Give it this calibration:", shlex.join(["sudo", "cp", str(folder / RIG_FILE), str(services[0] / RIG_FILE)])),
@@ -265,6 +268,14 @@ def _service_step(folder: Path, services: Sequence[Path]) -> Step:
     )
     run = _run(folder, "--output", "auto")
     return Step("service", "next", "not installed with this calibration", todo, run, install)
+
+
+def _hash_or_none(path: Path) -> str | None:
+    """Return the hash of a file; None if it is missing, or if this account may not read it."""
+    try:
+        return sha256(path)
+    except CalibrationError:
+        return None
 
 
 def _run(folder: Path, *more: str) -> str:

@@ -55,29 +55,32 @@ def mm(length: float) -> str:
 
 
 def target_pages(radii: Sequence[float], paper_name: str) -> list[Page]:
-    """Return pages with the six ring targets of radii inner, middle, outer (mm)."""
-    white = 2.0 / 3.0 * (radii[1] - radii[0])  # the detection reads colours outside a circle
-    half = radii[2] + max(white, 3.0) + 2.5
+    """Return pages with the six ring targets. `radii` are those of inner disc, middle and outer ring, rising (mm).
+
+    Each target has a square frame with ticks, its number and code, and the names of its inks from inside to outside.
+    """
+    white = 2.0 / 3.0 * (radii[1] - radii[0])  # outside the outer ring: the detection reads colours there, too
+    half = radii[2] + max(white, 3.0) + 2.5  # of the frame's side
     size = "/".join(mm(r) for r in radii)
 
-    def target(x: float, y: float, one: tuple[int, str]) -> "Iterator[Artist]":
-        number, code = one
+    def target(x: float, y: float, numbered_code: tuple[int, str]) -> "Iterator[Artist]":
+        number, code = numbered_code
         for radius, ink in zip(reversed(radii), reversed(code), strict=True):
             yield disc(x, y, radius, INKS[ink])
         a, b, c, d = x - half, y - half, x + half, y + half
         yield lines([(a, b, c, b), (c, b, c, d), (c, d, a, d), (a, d, a, b)])
         yield _ticks(x, y, half - 2.5, half, 0.25)
-        near, high = half - 1.5, half - 1.7
-        yield text_line(x - near, y - high, f"{number} {code}", 4.0, bold=True)
-        yield text_line(x + near, y - high, size, 2.1, "right")
+        text_x, text_y = half - 1.5, half - 1.7
+        yield text_line(x - text_x, y - text_y, f"{number} {code}", 4.0, bold=True)
+        yield text_line(x + text_x, y - text_y, size, 2.1, "right")
         for k, ink in enumerate(code):
-            yield text_line(x - near, y + half - 3.5 - 2.8 * k, _NAMES[ink], 2.1)
-        yield text_line(x + near, y + half - 3.5, "from inside", 2.1, "right")
+            yield text_line(x - text_x, y + half - 3.5 - 2.8 * k, _NAMES[ink], 2.1)
+        yield text_line(x + text_x, y + half - 3.5, "from inside", 2.1, "right")
 
     sheet = paper(paper_name)
-    places = _grid(sheet, 2.0 * half, f"--ring-radii: a target of {mm(2 * radii[2])} mm")
+    places = _grid(sheet, 2.0 * half, f"--ring-radii: a target with its frame ({mm(2.0 * half)} mm)")
     notes = (
-        "Put up 4 to 6, no code twice; at the very least 3.",
+        "Use 4 to 6 targets, at least 3. Use no code twice.",
         "Flat, facing the camera. The ticks point at the centre.",
     )
     return _pages(Page(sheet, f"Ring targets, radii {size} mm", notes, ()), places, list(TARGETS.items()), target)
@@ -93,7 +96,8 @@ def disc_pages(n: int, radius: float, paper_name: str) -> list[Page]:
         yield text_line(x + radius + 2.2, y - radius - 1.6, str(number), 3.2, "right")
 
     sheet = paper(paper_name)
-    places = _grid(sheet, 2.0 * radius + 6.0, f"--disc-radius: a disc of {mm(2 * radius)} mm")
+    cell = 2.0 * radius + 6.0
+    places = _grid(sheet, cell, f"--disc-radius: a disc with its ticks ({mm(cell)} mm)")
     notes = (
         f"disc_radius: {radius / 1000:g} in device.yaml, along the surface.",
         "Cut along the thin circle: a white rim is harmless, a nick is not.",
@@ -128,7 +132,7 @@ def _grid(sheet: Paper, cell: float, what: str) -> list[tuple[float, float]]:
     left, bottom, right, top = sheet.room
     columns, rows = floor((right - left) / cell + 1e-9), floor((top - bottom) / cell + 1e-9)
     if columns < 1 or rows < 1:
-        raise CalibrationError(f"{what} across does not fit on {sheet.name}; take a smaller one {_LARGER}")
+        raise CalibrationError(f"{what} does not fit on {sheet.name}; take a smaller one {_LARGER}")
     first = (left + right - (columns - 1) * cell) / 2.0
     return [(first + i * cell, top - (j + 0.5) * cell) for j in range(rows) for i in range(columns)]
 

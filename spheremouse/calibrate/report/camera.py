@@ -110,13 +110,18 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
             "leans": dict(zip(LEANS, done.coverage.leans.tolist(), strict=True)),
             "reach": done.coverage.reach,
         },
-        "board_views": _views(done),
+        "board_views": _describe_views(done),
         "advice": [text for _, text in advise(done)],
     }
 
 
-def _views(done: CameraCalibration) -> list[dict[str, Any]]:
-    found, false = done.found, inconsistent_views(done)
+def _describe_views(done: CameraCalibration) -> list[dict[str, Any]]:
+    """Return an object for each photo. `why` is the reason against a photo that is not used; None for the others.
+
+    A photo without a whole board has the file, the reason and no figures. `distance_m` is from the camera to the
+    board's first corner, and `tilt_deg` is between the board's normal and the camera's axis.
+    """
+    found, reasons = done.found, inconsistent_views(done)
     rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
     views: dict[int, dict[str, Any]] = {
         i: {
@@ -127,7 +132,7 @@ def _views(done: CameraCalibration) -> list[dict[str, Any]]:
             "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
             "tilt_deg": float(tilts[k]),
             "distance_m": float(np.linalg.norm(position[k])),
-            "why": false.get(i),
+            "why": reasons.get(i),
         }
         for k, i in enumerate(done.index)
     }

@@ -280,7 +280,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
         return np.concatenate([there.ravel(), log(axes_of(there, at, device, np.zeros(3)) @ R.T)])
 
     by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
-    own, by_lens = _propagated(by_x, seen_through, residuals(x), places, taped, at)
+    own, by_lens = _propagate_errors(by_x, seen_through, residuals(x), places, taped, at)
     joint = own + by_lens @ by_lens.T
     codes = tuple(code for i, code in zip(device.ids, device.codes, strict=True) if i in at)
     four = np.eye(4)[:, :3]  # rings give no distance of the ball
@@ -303,24 +303,26 @@ def _seen(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tupl
     return ids, np.array([seen[code_of[i]][0] for i in ids]), np.array([seen[code_of[i]][1] for i in ids])
 
 
-def _propagated(
+def _propagate_errors(
     by_x: Array, by_lens: Array, r: Array, places: Array, taped: Sequence[Distance], at: dict[int, int]
 ) -> tuple[Array, Array]:
-    """Covariance of places and axes without the lens' part, (3n + 3, 3n + 3), and that part, (3n + 3, 9).
+    """Return the covariance C of places (m, cam) and axes (rad) for an exact lens, and the lens' part L, (3n + 3, 9).
 
-    `by_x` and `by_lens` are the Jacobians of places and axes by normalised errors and by the lens. The distances
-    `taped` correct both; `r` are all residuals of the adjustment.
+    The whole covariance is C + L Lᵀ, (3n + 3, 3n + 3). `by_x` and `by_lens` are the Jacobians of places and axes by
+    normalised errors, of variance 1, and per standard deviation along `lens_root`. The distances `taped` correct both.
+    `r` are the normalised residuals of errors and distances; each distance adds one to the redundancy. `at` is the row
+    of a target's number.
     """
-    J, pull = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # pull: of the lens, on the corrections by distances
+    J, by_tape = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # by_tape: effect of the lens through distances
     for d in taped:
         i, j = at[d.start], at[d.end]
         along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
         row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
         J = np.vstack([J, row])
-        pull += np.outer(row, along @ (by_lens[3 * i : 3 * i + 3] - by_lens[3 * j : 3 * j + 3]))
+        by_tape += np.outer(row, along @ (by_lens[3 * i : 3 * i + 3] - by_lens[3 * j : 3 * j + 3]))
     factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
     Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
-    return by_x @ (factor * Q) @ by_x.T, by_lens - by_x @ Q @ pull
+    return by_x @ (factor * Q) @ by_x.T, by_lens - by_x @ Q @ by_tape
 
 
 def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:

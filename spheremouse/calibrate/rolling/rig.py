@@ -293,16 +293,17 @@ def rescale_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, 
 def place_targets(
     axes: Axes, device: Device, rolled: RollingAdjustment, radius: float, radius_sigma: float
 ) -> tuple[Targets, Array]:
-    """Convert the measured targets from `cam` to `obj`.
+    """Convert the n measured targets of `axes` from `cam` to `obj`, whose origin is the ball's centre.
 
-    Return them, and their covariance with the ball's centre and radius, (3n, 4) m².
+    Return them, and their covariance with the ball's centre (3), which is exact, and radius (1), (3n, 4) m². `radius`
+    and `radius_sigma` are in m. Errors that targets and rolling share through the lens are correlated.
     """
-    found = axes.targets
-    assert found is not None
+    measured = axes.targets
+    assert measured is not None
     c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation
-    X = (found.position - radius * ratio * c) @ R.T
+    X = (measured.position - radius * ratio * c) @ R.T
     n = len(X)
-    # of the targets in obj, by targets in cam (3n), axes (3), direction (3), ratio and radius
+    # Jacobian of the targets in obj, by the targets in cam (3n), axes (3), direction (3), ratio and radius
     J = np.zeros((3 * n, 3 * n + 3 + 5))
     for k in range(n):
         rows = slice(3 * k, 3 * k + 3)
@@ -312,13 +313,13 @@ def place_targets(
         J[rows, 3 * n + 6] = -radius * (R @ c)
         J[rows, 3 * n + 7] = -ratio * (R @ c)
     C = np.zeros((3 * n + 8, 3 * n + 8))
-    C[: 3 * n + 3, : 3 * n + 3] = found.covariance
+    C[: 3 * n + 3, : 3 * n + 3] = measured.covariance
     C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
-    alike = found.by_lens @ rolled.by_lens.T
-    C[: 3 * n + 3, 3 * n + 3 : 3 * n + 7], C[3 * n + 3 : 3 * n + 7, : 3 * n + 3] = alike, alike.T
+    shared = measured.by_lens @ rolled.by_lens.T
+    C[: 3 * n + 3, 3 * n + 3 : 3 * n + 7], C[3 * n + 3 : 3 * n + 7, : 3 * n + 3] = shared, shared.T
     C[-1, -1] = radius_sigma**2
     cross = np.zeros((3 * n, 4))
     cross[:, 3] = J[:, -1] * radius_sigma**2
     number: dict[str, int] = dict(zip(device.codes, device.ids, strict=True))
-    ids = tuple(number[code] for code in found.codes)
-    return Targets(ids, found.codes, X, J @ C @ J.T, np.asarray(device.target_radii, dtype=float)), cross
+    ids = tuple(number[code] for code in measured.codes)
+    return Targets(ids, measured.codes, X, J @ C @ J.T, np.asarray(device.target_radii, dtype=float)), cross

@@ -261,9 +261,11 @@ class Device:
             raise SourceError(str(self.failure(e))) from None  # a stream that breaks off is opened again first
 
     def close(self) -> None:
-        """Stop the stream and free all buffers. A buffer that an image still uses is unmapped with that image.
+        """Stop the stream, free all buffers and close the device. All errors are ignored.
 
-        Its mapping keeps the device open in the kernel, but freed buffers let other programs use the device.
+        The memory of a buffer that an image still uses is unmapped when that image is deleted. Until then the kernel
+        keeps the device open. Because its buffers are free, other programs can use it, except with old kernels, which
+        free no buffer that is mapped.
         """
         if self.fd < 0:
             return
@@ -272,7 +274,7 @@ class Device:
                 stream_off(self.fd, CAPTURE)
         self.buffers.clear()
         while self._maps:
-            with suppress(BufferError):
+            with suppress(BufferError):  # an image uses it
                 self._maps.pop().close()
         with suppress(OSError):
             free_buffers(self.fd, CAPTURE, Memory.MMAP)

@@ -95,7 +95,7 @@ class _Run:
         elif not any(f.verdict is Verdict.WRONG for f in camera):
             progress(f"filming {seconds:g} s with {self.plan.source}")
             camera += _guarded("film", self._film, seconds)
-        picture = self._wand_files() if self.of_wand else self._ball_files()
+        picture = self._check_wand_files() if self.of_wand else self._check_rig_and_map()
         yield Section("configuration", tuple(self.findings))
         yield Section("camera", tuple(camera))
         if self.footage is not None:
@@ -123,7 +123,7 @@ class _Run:
         if footage.controls is not None:
             yield from _guarded("exposure", cameras.controls, footage.controls)
 
-    def _wand_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
+    def _check_wand_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
         """Check camera file and balls, and return the check of the pictures."""
         self.findings += _guarded("camera file", wand.camera_file, self.plan, self.brought)
         if self.findings[-1].verdict is not Verdict.OK:
@@ -134,19 +134,22 @@ class _Run:
             return lambda _: iter(())
         return lambda footage: iter(_guarded("sight", wand.sight, footage.views, tracker))
 
-    def _ball_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
-        """Check rig and map, and return the check of the pictures."""
-        plan, brought = self.plan, None if self.footage is None else self.footage.rig
-        if brought is not None and plan.map_path is not None and plan.rig_path is None:
-            plan = replace(plan, map_path=None)
-        rig = plan.rig or brought
+    def _check_rig_and_map(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
+        """Add findings about rig and map, and return the check of the pictures, which uses that rig.
+
+        The rig is that of the plan, or else that of the recording.
+        """
+        plan, recorded = self.plan, None if self.footage is None else self.footage.rig
+        if recorded is not None and plan.map_path is not None and plan.rig_path is None:
+            plan = replace(plan, map_path=None)  # as in a run: such a map is of another ball
+        rig = plan.rig or recorded
         rig = replace(rig, camera=plan.camera) if rig is not None and plan.camera is not None else rig
-        broken = any(f.verdict is Verdict.WRONG for f in self.findings)
-        if broken and plan.rig is None and brought is not None:
-            text = "the source's own is taken, since not all that is named can be read"
+        has_errors = any(f.verdict is Verdict.WRONG for f in self.findings)  # of configuration, rig or camera file
+        if has_errors and plan.rig is None and recorded is not None:
+            text = "the recording's own rig is used, because the configuration has errors"
             self.findings.append(unchecked("rig", text))
-        elif rig is not None or not broken:
-            self.findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, brought)
+        elif rig is not None or not has_errors:
+            self.findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, recorded)
         self.findings += _guarded("map", files.map_of, plan.map_path, rig, plan.configuration)
         return lambda footage: self._picture(footage, rig)
 

@@ -27,6 +27,7 @@ from spheremouse.output.rate_limited_logger import strip_digits
 
 _MENU_REFRESH_S = 10.0  # if only numbers have changed: each update closes an open menu
 _HOST_TIMEOUT_S = 60.0  # for a desktop that is still starting
+_BUS_TIMEOUT_MS = 1000
 _SYSTEM_GI = Path("/usr/lib/python3/dist-packages/gi/__init__.py")  # Debian's PyGObject
 _ON_LINUX = sys.platform not in ("win32", "darwin")
 
@@ -208,15 +209,15 @@ def _xembed() -> bool:
 
 
 def _status_notifier() -> bool:
-    """Return whether there is a tray of newer desktops, which watches the session bus for status notifiers."""
+    """Return whether the desktop shows icons by the protocol StatusNotifierItem, as KDE does (on the session bus)."""
     try:
         gio, glib = (importlib.import_module(f"gi.repository.{name}") for name in ("Gio", "GLib"))
         bus = gio.bus_get_sync(gio.BusType.SESSION, None)
         name = glib.Variant("(s)", ("org.kde.StatusNotifierWatcher",))
         dbus = "org.freedesktop.DBus"
-        reply = bus.call_sync(dbus, "/org/freedesktop/DBus", dbus, "NameHasOwner", name, None, 0, 1000, None)
+        reply = bus.call_sync(dbus, "/org/freedesktop/DBus", dbus, "NameHasOwner", name, None, 0, _BUS_TIMEOUT_MS, None)
         return bool(reply.unpack()[0])
-    except Exception:  # no bus
+    except Exception:  # neither PyGObject nor a bus is required
         return False
 
 

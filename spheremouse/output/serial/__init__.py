@@ -202,15 +202,16 @@ class Serial(Output):
             self._write_due()
 
     def _write_due(self) -> None:
-        """Write as much as the line takes now."""
-        while self._port is not None:
+        """Write the rest of the last frame, then frames that are due, until the port's queue is full.
+
+        A short queue keeps the motion in it recent. The caller holds the lock. Raises PortGoneError if the port fails.
+        """
+        port = self._port
+        while port is not None and (self._unsent or port.queued() <= _MAX_QUEUED_BYTES):
+            self._unsent = self._unsent or self.link.next_frame(time.perf_counter()) or b""
             if not self._unsent:
-                if self._port.queued() > _MAX_QUEUED_BYTES:
-                    return
-                self._unsent = self.link.next_frame(time.perf_counter()) or b""
-                if not self._unsent:
-                    return
-            self._unsent = self._unsent[self._port.write(self._unsent) :]
+                return
+            self._unsent = self._unsent[port.write(self._unsent) :]
             if self._unsent:
                 return
 

@@ -92,7 +92,7 @@ def render_board(board: Board, scene: Scene, pose: Pose) -> NDArray[np.float32]:
 
 def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Array) -> BoardCoverage:
     """The board in pixels `uv`, (n, 2), that are whole numbers or not: a square of 1 px around each."""
-    place, slope = _on_board(uv, camera, pose)
+    place, slope = _intersect_board(uv, camera, pose)
     reach = np.abs(slope[:, :, 0]) + np.abs(slope[:, :, 1])  # m on the board, from the middle of a pixel to the next
     lines = place / board.square + 0.5 * np.array([board.columns + 1, board.rows + 1])
     half = 0.5 * board.size + board.border
@@ -110,12 +110,16 @@ def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Ar
     return BoardCoverage(place, card, black / np.maximum(card, 1e-9))
 
 
-def _on_board(uv: Array, camera: InteriorOrientation, pose: Pose) -> tuple[Array, Array]:
-    """Intersect rays of pixels (n, 2) with the board's plane: (n, 2) m from its middle, and dplace_duv (n, 2, 2)."""
+def _intersect_board(uv: Array, camera: InteriorOrientation, pose: Pose) -> tuple[Array, Array]:
+    """Return the points, (n, 2) m from the board's middle, where rays of pixels (n, 2) meet its plane, and their slope.
+
+    The slope dplace_duv, (n, 2, 2) m/px, is the part of the board that a pixel shows. `pose` is that of the camera in
+    `obj`, whose X and Y are those of the board. Both are nan for a ray that does not meet the plane.
+    """
     xy, dxy_duv = unproject(uv, camera)
     ray = xy @ pose.rotation[:, :2].T + pose.rotation[:, 2]
     s = (MIDDLE[2] - pose.position[2]) / ray[:, 2]
-    s = np.where(s > 0.0, s, np.nan)  # nan: beside or behind, as where the lens maps no ray
+    s = np.where(s > 0.0, s, np.nan)  # the plane is behind; nan also if the lens maps no ray
     place = pose.position[:2] - MIDDLE[:2] + s[:, None] * ray[:, :2]
     dray = pose.rotation[:, :2] @ dxy_duv
     dplace = s[:, None, None] * (dray[:, :2] - ray[:, :2, None] * dray[:, 2:] / ray[:, 2, None, None])
