@@ -172,7 +172,7 @@ def recipe_page() -> str:
     """The recipe that `calibrate print` prints, to be read here; its drawings are on the print."""
     text = (PACKAGE / "calibrate" / "prints" / "recipe.md").read_text(encoding="utf-8")
     title, _, rest = text.partition("\n")
-    return f"{title}\n\n{_MADE}\nTo print, with drawings: `spheremouse calibrate print`.\n{rest}"
+    return f"{title}\n\n{_MADE}\n`spheremouse calibrate print` makes this page with drawings.\n{rest}"
 
 
 def main() -> None:

@@ -80,7 +80,7 @@ def target_pages(radii: Sequence[float], paper_name: str) -> list[Page]:
     sheet = paper(paper_name)
     places = _grid(sheet, 2.0 * half, f"--ring-radii: a target with its frame ({mm(2.0 * half)} mm)")
     notes = (
-        "Use 4 to 6 targets, at least 3. Use no code twice.",
+        "Put up 4 to 6, no code twice; at the very least 3.",
         "Flat, facing the camera. The ticks point at the centre.",
     )
     return _pages(Page(sheet, f"Ring targets, radii {size} mm", notes, ()), places, list(TARGETS.items()), target)
