@@ -481,7 +481,8 @@ def test_a_check(simulated, tmp_path):
         found = json.loads(result.output)
         assert found["port"]["firmware"] == found["here"] == "1.0.0"
         assert (found["port"]["board"], found["wrong"]) == ("simulator", [])
-        assert "all is well" in run("check", "--port", board.port).output
+        checked = run("check", "--port", board.port, "--baud", "230400").output
+        assert f"all is well; next: spheremouse run --source ... --output serial:{board.port},baud=230400" in checked
         board.awake = False
         result = run("check", "--port", board.port, "--json", tmp_path / "found.json")
     assert result.exit_code == 1
