@@ -61,9 +61,11 @@ def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
     watch = watching.begin(tracker.rig, pose)
     if watch is None:
         return True  # too near the edge of the picture to be watched
-    every = np.arange(len(watch), dtype=np.intp)
+    indices = np.arange(len(watch), dtype=np.intp)
     return bool(
-        np.count_nonzero(watching.remember_targets(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen)
+        np.count_nonzero(
+            watching.remember_targets(watch, frame.image, indices, tracker.rig, tracker.settings.rings).seen
+        )
         >= 3
     )
 
@@ -133,25 +135,25 @@ def check_targets(
     """
     watch, shift = watching.target_shifts(before, frame.image)
     on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
-    moved = watching.displaced(on_rings, watching.DISPLACED_PX)
-    if moved is None:
-        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
-    if moved:
-        still = watching.is_still(before.shift, shift)
-        found = (_pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)) if still else None
+    displaced_on_rings = watching.displaced(on_rings, watching.DISPLACED_PX)
+    if displaced_on_rings is None:
+        displaced_on_rings = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+    if displaced_on_rings:
+        camera_still = watching.is_still(before.shift, shift)
+        found = (_pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)) if camera_still else None
         return CameraCheck(replace(watch, shift=shift), moving=True, moved=found)
     watch = replace(watch, shift=np.zeros((0, 2)), away=None)
     if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
         return CameraCheck(replace(watch, asked=True))
     watch = replace(watch, asked=False)
-    if moved is None and after is not None and out_of_sight(after._replace(watch=watch), frame.stamp):
+    if displaced_on_rings is None and after is not None and out_of_sight(after._replace(watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         found = seek(frame, tracker)
         if found is not None:
             return CameraCheck(watch, moved=found)
-    if moved is False:  # then a target out of its place was moved by itself, or is in another light
-        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
-        watch = watching.remember_targets(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
+    if displaced_on_rings is False:  # then a target out of its place was moved by itself, or is in another light
+        displaced = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
+        watch = watching.remember_targets(watch, frame.image, displaced, tracker.rig, tracker.settings.rings)
     return CameraCheck(watch)
 
 

@@ -164,9 +164,9 @@ def check_next_target(
         if watch.patches[turn] is None:
             continue
         shift = target_shift(watch, image, turn)
-        there = bool(np.isfinite(shift[0]))
-        odd |= bool(np.hypot(*shift) > DISPLACED_PX) if there else bool(seen[turn])
-        seen[turn] = there
+        visible = bool(np.isfinite(shift[0]))
+        odd |= bool(np.hypot(*shift) > DISPLACED_PX) if visible else bool(seen[turn])
+        seen[turn] = visible
     return replace(watch, seen=seen, turn=turn, due=stamp + step), odd
 
 
@@ -210,11 +210,11 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
         fit = adjust_pose(pose, observed[which], which, rig, sigma**2 * np.eye(2 * k), np.zeros((3 * k, 3 * k)))
         if fit is None:
             return None
-        off = np.hypot(*fit.residual.reshape(-1, 2).T)
-        if off.max() < 5.0 * sigma:
+        residual_px = np.hypot(*fit.residual.reshape(-1, 2).T)
+        if residual_px.max() < 5.0 * sigma:
             added = fit.covariance
             return Pose(fit.pose.rotation, fit.pose.position, pose.covariance + added, pose.ball_covariance), added
-        which = np.delete(which, int(np.argmax(off)))
+        which = np.delete(which, int(np.argmax(residual_px)))
     return None
 
 
@@ -232,8 +232,8 @@ def _on_rings(watch: CameraMonitor, image: Image, which: int, shift: Array, rig:
     x, y = np.maximum(np.rint(watch.corner[which] + shift).astype(int) - margin, 0)
     side = int(watch.size[which]) + 2 * margin
     found = detect_targets(image[y : y + side, x : x + side], rig.targets.radii, rings)
-    same = [c for code, c in zip(found.codes, found.centre, strict=True) if code == rig.targets.codes[which]]
-    return same[0] + (x, y) if len(same) == 1 else np.full(2, np.nan)
+    matching = [c for code, c in zip(found.codes, found.centre, strict=True) if code == rig.targets.codes[which]]
+    return matching[0] + (x, y) if len(matching) == 1 else np.full(2, np.nan)
 
 
 def _window(watch: CameraMonitor, image: Image, which: int, reach: int) -> tuple[Image, Array]:

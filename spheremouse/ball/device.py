@@ -56,10 +56,10 @@ class DistanceError(CalibrationError):
 
     def __init__(self, device: Device, index: int, metres: float, sigmas: float | None = None) -> None:
         d = device.distances[index]
-        by = "" if sigmas is None else f", {sigmas:.0f} sigma"
+        excess = "" if sigmas is None else f", {sigmas:.0f} sigma"
         super().__init__(
             f"the distance from target {d.start} to {d.end} is {d.metres:.4g} m on the tape (sigma {1e3 * d.sigma:g} "
-            f"mm), but {metres:.4f} m by the photos and the other distances ({1e3 * (metres - d.metres):+.1f} mm{by}): "
-            "measure it again, and see that its ids, and the codes of these targets, are right"
+            f"mm), but {metres:.4f} m by the photos and the other distances ({1e3 * (metres - d.metres):+.1f} "
+            f"mm{excess}): measure it again, and see that its ids, and the codes of these targets, are right"
         )
         self.index = index

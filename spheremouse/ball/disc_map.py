@@ -75,14 +75,14 @@ class DiscMap:
     def compare_at(self, other: "DiscMap", rotation: Array) -> "Comparison":
         """Compare with another map, whose directions are about those of this one @ rotation.T, (3, 3)."""
         cosine = other.directions @ rotation @ self.directions.T
-        apart = np.arccos(np.clip(cosine, -1.0, 1.0)).T
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0)).T
         near = np.clip(
             5.0 * np.sqrt(variances(self)[:, None] + variances(other)[None]), _MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD
         )
-        stayed = np.stack(assign(apart / near, 1.0), axis=1)
+        stayed = np.stack(assign(angle / near, 1.0), axis=1)
         left_a = np.setdiff1d(np.arange(len(self)), stayed[:, 0])
         left_b = np.setdiff1d(np.arange(len(other)), stayed[:, 1])
-        i, j = assign(apart[np.ix_(left_a, left_b)], _MAX_DISC_MOVE_RAD)
+        i, j = assign(angle[np.ix_(left_a, left_b)], _MAX_DISC_MOVE_RAD)
         return Comparison(
             rotation,
             stayed,
@@ -93,20 +93,20 @@ class DiscMap:
 
     def improves(self, saved: "DiscMap") -> bool:
         """Return whether this map has other discs than a saved one, or one with less than half its deviation."""
-        there = saved.compare_at(self, np.eye(3))
-        i, j = there.stayed.T
+        comparison = saved.compare_at(self, np.eye(3))
+        i, j = comparison.stayed.T
         better = variances(self)[j] < 0.25 * variances(saved)[i]
         return len(i) < len(saved) or len(j) < len(self) or bool(np.any(better))
 
     def turned(self, rotation: Array) -> "DiscMap":
         """Return the map in a frame rotated by (3, 3): the new directions are the old ones @ rotation.T."""
-        before = self.directions
-        after = before @ rotation.T
-        axes = tangent_basis(after).transpose(0, 2, 1) @ rotation @ tangent_basis(before)  # (m, 2, 2)
+        directions = self.directions
+        turned_directions = directions @ rotation.T
+        axes = tangent_basis(turned_directions).transpose(0, 2, 1) @ rotation @ tangent_basis(directions)  # (m, 2, 2)
         m = len(self)
         blocks = self.covariance.reshape(m, 2, m, 2)
         covariance = np.einsum("iab,ibjc,jdc->iajd", axes, blocks, axes).reshape(2 * m, 2 * m)
-        return replace(self, directions=after, covariance=covariance)
+        return replace(self, directions=turned_directions, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True)

@@ -211,8 +211,8 @@ def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tup
     Unless a frame soon corrects the acceleration, it fades (Singer 1970), as in the default filter.
     """
     fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
-    twice = np.tile(motion.covariance, (2, 2))
-    attitude, rate, acceleration, P = kernels.predict_motion(*motion[:3], twice, dt, fading, density)
+    tiled = np.tile(motion.covariance, (2, 2))
+    attitude, rate, acceleration, P = kernels.predict_motion(*motion[:3], tiled, dt, fading, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 

@@ -36,8 +36,8 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None],
             raise CalibrationError(f"{path}: is read by this very command; name another file to write")
         if path.resolve() in [p.resolve() for p in paths[:i]]:
             raise CalibrationError(f"{path}: would be written twice; give each output a name of its own")
-    if not force and (there := [str(p) for p in paths if p.exists()]):
-        raise CalibrationError(f"{', '.join(there)}: there already; name another file, or replace it with --force")
+    if not force and (existing := [str(p) for p in paths if p.exists()]):
+        raise CalibrationError(f"{', '.join(existing)}: there already; name another file, or replace it with --force")
 
 
 def note(text: str) -> None:

@@ -170,6 +170,7 @@ def _check_one_size(photos: Sequence[Photo]) -> None:
 
 
 def _read(path: Path) -> Photo:
+    """Read a photo. Raise CalibrationError, with the remedy, if it is damaged or cannot be used."""
     data = _bytes(path)
     size, orientation = _header(path, data, to_the_end=True)
     if data.startswith(b"\xff\xd8"):
@@ -185,6 +186,7 @@ def _read(path: Path) -> Photo:
 
 
 def _bytes(path: Path) -> bytes:
+    """Read a photo's bytes. Raise CalibrationError if it is missing, unreadable, too large or empty."""
     try:
         data = read_bytes(path, MOST_BYTES, "photo")
     except FileNotFoundError:

@@ -156,6 +156,7 @@ class Capture(threading.Thread):
         self._unanswered += 1
 
     def _fetch(self) -> None:
+        """Open the camera and pass its frames on, until the capture ends or the stream fails."""
         began: float | None = None  # s, the first frame
         self._failures += 1
         with self._open() as camera:

@@ -36,8 +36,8 @@ def _lock(held: int, node: Path) -> None:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         pid = holder(node)
-        who = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
-        raise SourceError(f"{node}: in use by {who}; end that one first, or ask it: spheremouse ctl status") from None
+        owner = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
+        raise SourceError(f"{node}: in use by {owner}; end that one first, or ask it: spheremouse ctl status") from None
     except OSError:
         return  # this kind of file has no locks
 
@@ -45,11 +45,11 @@ def _lock(held: int, node: Path) -> None:
 def holder(node: Path) -> int | None:
     """Return the process that has locked a file, or None if the kernel does not list it."""
     try:
-        there = os.stat(node)
+        status = os.stat(node)
         lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
     except OSError:
         return None
-    place = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
+    place = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     for line in lines:
         words = line.split()
         if len(words) >= 6 and words[1] == "FLOCK" and words[5] == place:

@@ -138,6 +138,7 @@ class Listener:
 
 
 def _opened(mouse: Mouse) -> Any:
+    """Open a mouse's event device. Raise SourceError with the remedy."""
     try:
         import evdev
     except ImportError:

@@ -60,6 +60,7 @@ class LatestFrame:
             old.raw.release()
 
     def _replace(self, arrival: Arrival | None) -> Arrival | None:
+        """Store an arrival, or None, and return the one that nobody has taken, which counts as skipped."""
         old, self._arrival = self._arrival, arrival
         self.skipped += old is not None
         return old

@@ -38,8 +38,8 @@ def nodes(listed: Path = VIDEO_CLASS, devices: Path = _DEV, by_id: Path = _BY_ID
 
 def persistent_name(path: str) -> str | None:
     """Return the name of a camera that does not depend on the order of plugging in; None if it has none."""
-    here = Path(path).resolve()
-    lasting = next((n.lasting for n in nodes() if n.path.resolve() == here), None)
+    resolved = Path(path).resolve()
+    lasting = next((n.lasting for n in nodes() if n.path.resolve() == resolved), None)
     return None if lasting is None or str(lasting) == path else str(lasting)
 
 
@@ -69,17 +69,17 @@ def in_size(source: str, size: tuple[int, int] | None) -> str:
 
 def probe_node(node: Path, found: list[Node]) -> list[Finding]:
     """Return findings about a camera's node: whether it exists, keeps its name, and may be used by this account."""
-    here = next((n for n in found if n.path.resolve() == node.resolve()), None)
+    listed = next((n for n in found if n.path.resolve() == node.resolve()), None)
     if not os.path.exists(node):
         named = " or ".join(f"v4l2:{n.lasting or n.path}" for n in found)
         others = f", or name the one there is: {named}" if named else ""
         return [absent("camera", f"{node} does not exist", f"plug it in{others}")]
     camera = ok("camera", str(node))
-    if here is not None and here.lasting is not None and node == here.path:
+    if listed is not None and listed.lasting is not None and node == listed.path:
         camera = warning(
             "camera",
             f"{node} is a number, which may go to another camera at the next start",
-            f"use its permanent name: source: v4l2:{here.lasting}",
+            f"use its permanent name: source: v4l2:{listed.lasting}",
         )
     problem = access_problem(node)
     access = (

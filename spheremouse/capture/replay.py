@@ -79,23 +79,25 @@ class Replay(Streamed):
 
         Raises EndOfSource with the error if the recording cannot be read.
         """
-        until = time.monotonic() + timeout
+        deadline = time.monotonic() + timeout
         if self._next is None or self._rewinding:
             self._read_ahead()
         with self._changed:
-            while not self._rewinding and (now := time.monotonic()) < until:
-                due = until if not self._released or (self.paused and not self._steps) else self._due()
+            while not self._rewinding and (now := time.monotonic()) < deadline:
+                due = deadline if not self._released or (self.paused and not self._steps) else self._due()
                 if due <= now:
                     return self._show(now)
-                self._changed.wait(min(due, until) - now)
+                self._changed.wait(min(due, deadline) - now)
         return None
 
     def _due(self) -> float:
+        """Return the time at which the next frame is shown, s of the monotonic clock; 0 is at once."""
         assert self._next is not None
         gap = 0.0 if self._is_first else min(max(self._next.stamp - self._stamp, 0.0), _MAX_GAP_S)
         return 0.0 if self._steps else self._shown_at + gap / self.controls.speed
 
     def _show(self, now: float) -> RawFrame:
+        """Return the next frame to the tracker, and set the time from which the following one waits."""
         assert self._next is not None
         self.frame, frame = self._number, self._next
         self._shown_at = max(self._due(), now - _MAX_GAP_S)  # a slow tracker catches up at most so much

@@ -96,8 +96,8 @@ app = _typer(completion=True, cls=_Group)
 _debug = False
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         print(f"spheremouse {__version__}")
         raise typer.Exit
 

@@ -54,8 +54,8 @@ def bench(
     film = _simulated() if dataset is None else _recorded(dataset)
     with _one_thread(), progress_bar(auto_refresh=False) as bar:
         task = bar.add_task("stepping", total=steps)
-        every = max(1, steps // 100)
-        found = measure(film, steps, lambda k: k % every or bar.update(task, completed=k, refresh=True))
+        progress_steps = max(1, steps // 100)
+        found = measure(film, steps, lambda k: k % progress_steps or bar.update(task, completed=k, refresh=True))
     figures = report(film, found)
     if json_file is None or not write_json(json_file, figures):
         print("\n".join(lines(figures)))

@@ -71,9 +71,9 @@ def import_fictrac(
     for key, line in sorted(read.lines.items(), key=lambda each: each[1]):
         print(f"{config}:{line}: {key}: {reasons.get(key, 'used')}")
     print(f"{edge}\n{describe(outline, rig)}\n{next_steps(out, 'text:ball.dat,format=fictrac')}")
-    away = math.degrees(math.acos(min(1.0, outline.direction[2])))
+    angle = math.degrees(math.acos(min(1.0, outline.direction[2])))
     print(
-        f"FicTrac's rates differ by a rotation of {away:.1f}°: it takes the direction to the ball for the optical axis"
+        f"FicTrac's rates differ by a rotation of {angle:.1f}°: it takes the direction to the ball for the optical axis"
     )
 
 
@@ -140,10 +140,10 @@ def _refined(images: "list[Image]", given: "Outline", camera: "InteriorOrientati
         found, _ = find_outline(images, camera, given)
     except CalibrationError as e:
         return given, f"outline: as configured, since {e.problem}"
-    off = np.array([*(found.direction - given.direction), found.angle - given.angle])
-    if np.abs(off).max() > _SAME_OUTLINE * given.angle:
+    correction = np.array([*(found.direction - given.direction), found.angle - given.angle])
+    if np.abs(correction).max() > _SAME_OUTLINE * given.angle:
         return given, "outline: as configured; the edge of what turns in the film is elsewhere, so look at the picture"
-    px = np.abs(off).max() * math.sqrt(camera.fx * camera.fy)
+    px = np.abs(correction).max() * math.sqrt(camera.fx * camera.fy)
     return found, f"outline: by the edge of the ball in the film, {px:.1f} px from the configured one"
 
 
@@ -163,11 +163,11 @@ def lab_axes(read: "FicTracConfig", camera: "InteriorOrientation") -> "tuple[Arr
             read.refuse("c2a_r", "missing, and no square of c2a_src gives it", hint)
         return square[0], "used"
     R = exp(np.array(read.numbers("c2a_r", 3)))
-    off = [min(float(np.linalg.norm(log(S @ way.T))) for S in square) if square else 0.0 for way in (R, R.T)]
-    if off[1] < _SAME_AXES < off[0]:
+    errors = [min(float(np.linalg.norm(log(S @ way.T))) for S in square) if square else 0.0 for way in (R, R.T)]
+    if errors[1] < _SAME_AXES < errors[0]:
         return R.T, "used, inverted: its corners show that FicTrac before 2.1 wrote it"
-    words = f"used; its corners differ by {math.degrees(off[0]):.0f}°, look at FicTrac's configImg"
-    return R, words if off[0] > _SAME_AXES else "used"
+    words = f"used; its corners differ by {math.degrees(errors[0]):.0f}°, look at FicTrac's configImg"
+    return R, words if errors[0] > _SAME_AXES else "used"
 
 
 def _square(read: "FicTracConfig", camera: "InteriorOrientation") -> "list[Array]":

@@ -49,9 +49,9 @@ def log_mouse(
     if problem:
         print(f"{problem}: the log ends there", file=sys.stderr)
     x, y = (sum(map(abs, counts)) for counts in list(zip(*reports, strict=True))[1:])
-    moved = len(reports) - 2  # without the first and the last, which are empty
-    print(f"{out}: {moved} reports in {reports[-1].stamp - reports[0].stamp:.1f} s, {x} counts in x and {y} in y")
-    if not moved:
+    moves = len(reports) - 2  # without the first and the last, which are empty
+    print(f"{out}: {moves} reports in {reports[-1].stamp - reports[0].stamp:.1f} s, {x} counts in x and {y} in y")
+    if not moves:
         print(f"nothing moved it: is {mouse.name} the mouse that lies under the ball?")
     else:
         print(f"next: spheremouse match RECORDING {shlex.quote(str(out))}")

@@ -50,10 +50,12 @@ def show(
         check_outputs([output], [file], force=True)
         write_picture(output, unfolded(found.fine, _TURN_WIDTH_PX))
     table = (_disc_table if found.kind == DiscMap.kind else _pattern_table)(found)
-    of = f"{found.text} on a ball of {saved.ball_radius:g} m"
+    description = f"{found.text} on a ball of {saved.ball_radius:g} m"
     if saved.disc_radius is not None:
-        of = f"{found.text} of radius {1e3 * saved.disc_radius:g} mm on a ball of {saved.ball_radius:g} m"
-    table.title = f"{file}: {of}; saved {saved.saved:%Y-%m-%d %H:%M %Z} ({age(saved)}) by spheremouse {saved.version}"
+        description = f"{found.text} of radius {1e3 * saved.disc_radius:g} mm on a ball of {saved.ball_radius:g} m"
+    table.title = (
+        f"{file}: {description}; saved {saved.saved:%Y-%m-%d %H:%M %Z} ({age(saved)}) by spheremouse {saved.version}"
+    )
     table_console().print(table)
 
 

@@ -73,6 +73,7 @@ def match(
 def _plan(
     recording: str, assignments: list[str], config: Path | None, rig: Path | None, camera: Path | None
 ) -> "RunConfig":
+    """Return the run's configuration for a recording that is compared. Refuse a wand."""
     from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
     if not Path(recording).exists() and ":" not in recording:
@@ -142,6 +143,7 @@ def _readable(frames: "Iterator[Frame]") -> "Iterator[Frame]":
 
 
 def _section(settings: "MotionSettings") -> str:
+    """Return the settings as the section `motion` of a configuration file."""
     from spheremouse.files.config import to_yaml
 
     keys = [k for k in _KEYS if k != "counts_per_mm" or settings.counts_per_radian is None]
@@ -166,15 +168,15 @@ def _print(found: "Match", verdict: "Verdict") -> None:
     table = Table("", *(Column(name, justify="right") for name in "xy"))
     for k, axis in enumerate("XYZ"):
         cells = [f"{a:.2f} ± {s:.2f}" for a, s in zip(found.matrix[:, k], found.sigma[:, k], strict=True)]
-        table.add_row(f"counts/rad about {axis} of obj{'' if found.known[k] else ', moved too little'}", *cells)
+        table.add_row(f"counts/rad about {axis} of obj{'' if found.known[k] else ', rates too little'}", *cells)
     table.add_row("Pearson's r over 0.1 s", *(f"{r:.4f}" for r in found.r))
     table.add_row("RMSE over 0.1 s, counts/s", *(f"{v:.1f}" for v in found.rmse))
     table_console().print(table)
     order = "later" if found.lag >= 0.0 else "earlier"
     print(f"lag: the log is {1e3 * abs(found.lag):.2f} ± {1e3 * found.lag_sigma:.2f} ms {order} than the frames")
-    moved = ", ".join(f"{v:.2f} about {axis}" for v, axis in zip(found.rate, "XYZ", strict=True))
+    rates = ", ".join(f"{v:.2f} about {axis}" for v, axis in zip(found.rate, "XYZ", strict=True))
     print(
-        f"compared: {found.seconds:.1f} s, ball at {moved} rad/s; {found.outliers} of {found.intervals} intervals "
+        f"compared: {found.seconds:.1f} s, ball at {rates} rad/s; {found.outliers} of {found.intervals} intervals "
         "of 0.1 s do not fit"
     )
     print("\n  note: ".join((f"verdict: {verdict.text}", *verdict.notes)))

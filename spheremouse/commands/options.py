@@ -104,6 +104,7 @@ def _as_typed(field: "Field[Any]") -> inspect.Parameter:
 
 
 def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
+    """Return the command-line option of a settings field: its unit and bounds become metavar and limits."""
     unit, bounds, annotation, default = field.metadata["unit"], field.metadata["bounds"], field.type, field.default
     metavar: str | None = unit.upper()
     if _is_word(unit):
@@ -129,6 +130,7 @@ def _is_word(unit: str) -> bool:
 
 
 def _word(unit: str, value: Any) -> str | None:
+    """Return a default as a person types it, such as 1m or 640x480."""
     if value is None:
         return None
     return f"{value:g}m" if unit == "m" else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)

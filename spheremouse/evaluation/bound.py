@@ -222,12 +222,12 @@ def _augmented(P: Array, by_attitude: Array, by_disc: Array, sigma: Array) -> Ar
     inverse = np.linalg.inv(by_disc)
     G = np.zeros((2 * k, n))
     G[:, :3] = -(inverse @ by_attitude).reshape(2 * k, 3)
-    out = np.empty((n + 2 * k, n + 2 * k))
-    out[:n, :n] = P
-    out[n:, :n] = G @ P
-    out[:n, n:] = out[n:, :n].T
-    out[n:, n:] = G @ P @ G.T
+    augmented = np.empty((n + 2 * k, n + 2 * k))
+    augmented[:n, :n] = P
+    augmented[n:, :n] = G @ P
+    augmented[:n, n:] = augmented[n:, :n].T
+    augmented[n:, n:] = G @ P @ G.T
     for i in range(k):
         at = slice(n + 2 * i, n + 2 * i + 2)
-        out[at, at] += sigma[i] ** 2 * inverse[i] @ inverse[i].T
-    return out
+        augmented[at, at] += sigma[i] ** 2 * inverse[i] @ inverse[i].T
+    return augmented

@@ -38,9 +38,9 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
     A value without discs or points is None.
     """
     whole = truth.state == VISIBLE
-    asked = whole & (truth.area >= MIN_AREA)
+    relevant = whole & (truth.area >= MIN_AREA)
     given = np.isin(truth.frame, run.frame)
-    found, offset = _found(run, truth, asked)
+    found, offset = _found(run, truth, relevant)
     large = offset[truth.area[found] >= 60.0]
     points = false = 0
     for frame, used in zip(run.frame, run.used, strict=True):
@@ -49,22 +49,22 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
         false += int(np.count_nonzero(~(distances(used, centre).min(axis=1, initial=np.inf) <= MATCH)))
     long = np.zeros_like(whole) if semi_minor is None else whole & (semi_minor >= MIN_AXIS)
     return {
-        "recall": _ratio(len(found), np.count_nonzero(asked & given)),
+        "recall": _ratio(len(found), np.count_nonzero(relevant & given)),
         "false_share": _ratio(false, points),
         "centre_rms_px": number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
         "recall_15": _ratio(
-            np.count_nonzero(truth.area[found] >= 15.0), np.count_nonzero(asked & given & (truth.area >= 15.0))
+            np.count_nonzero(truth.area[found] >= 15.0), np.count_nonzero(relevant & given & (truth.area >= 15.0))
         ),
         "recall_axis": _ratio(len(_found(run, truth, long)[0]), np.count_nonzero(long & given)),
         "centre_rms_60_px": number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
 
 
-def _found(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
-    """Return the rows of `truth` among those `asked`, (k,), with a detection, (n,), and its offset, (n, 2) px."""
+def _found(run: Run, truth: DiscTruth, relevant: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+    """Return the rows of `truth` among the `relevant` ones, (k,), with a detection, (n,), and its offset, (n, 2) px."""
     rows, offsets = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
     for frame, detected in zip(run.frame, run.detected, strict=True):
-        k = np.flatnonzero(asked & (truth.frame == frame))
+        k = np.flatnonzero(relevant & (truth.frame == frame))
         i, j = assign(distances(truth.centre[k], detected), MATCH)
         rows.append(k[i])
         offsets.append(detected[j] - truth.centre[k[i]])

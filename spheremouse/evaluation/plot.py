@@ -126,6 +126,7 @@ def _draw_errors(column: "np.ndarray[Any, Any]", t: Array, error: Array, sigma: 
 
 
 def _quiet(axes: "Axes") -> None:
+    """Give axes a horizontal grid behind the curves, and narrow margins."""
     axes.grid(axis="y")
     axes.set_axisbelow(True)
     axes.margins(x=0.01)

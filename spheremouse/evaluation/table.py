@@ -20,8 +20,8 @@ def ball_table(results: list[dict[str, Any]], title: str) -> Table:
 
 def wand_table(results: list[dict[str, Any]]) -> Table:
     """Return the reports of `wand.wand_report` as a table with one column for each ball."""
-    every = [r for result in results for r in (result, *result.get("more_balls", []))]
-    return _table(every, _WAND_ROWS, "wand", "x right, y down, z away from the camera")
+    balls = [r for result in results for r in (result, *result.get("more_balls", []))]
+    return _table(balls, _WAND_ROWS, "wand", "x right, y down, z away from the camera")
 
 
 def _table(results: list[dict[str, Any]], rows: Rows, title: str, caption: str) -> Table:

@@ -216,14 +216,14 @@ class Verdict(NamedTuple):
 def judge(match: Match) -> Verdict:
     """Return the verdict on a match: unusable with the reason, or usable with notes."""
     r = f"r = {match.r[0]:.4f} in x and {match.r[1]:.4f} in y over 0.1 s"
-    still = [k for k in (0, 2) if match.rate[k] < _MIN_RATE]
-    if match.r.min() < _MIN_R and not still:
+    resting_axes = [k for k in (0, 2) if match.rate[k] < _MIN_RATE]
+    if match.r.min() < _MIN_R and not resting_axes:
         return Verdict(
             usable=False,
             text=f"the log does not follow the ball ({r}): it is of another time or another mouse, or the trackball is "
             "dirty; record both at once, for half a minute",
         )
-    missing = still or [k for k in (0, 2) if not match.known[k]]
+    missing = resting_axes or [k for k in (0, 2) if not match.known[k]]
     if missing:
         return Verdict(
             usable=False,
@@ -238,6 +238,7 @@ def judge(match: Match) -> Verdict:
 
 
 def _notes(match: Match) -> tuple[str, ...]:
+    """Return what is unusual in a match, and what no setting can express, in words."""
     notes = []
     if abs(match.lag) > _MAX_LAG_OF_A_MOUSE_S:
         order = "ahead of" if match.lag > 0 else "behind"

@@ -25,20 +25,20 @@ def access_problem(path: Path) -> tuple[str, str] | None:
     """Return the reason why this account may not read and write a node, and the remedy; None if it may."""
     if os.access(path, os.R_OK | os.W_OK):
         return None
-    who, group, mode = account(), group_of(path), path.stat().st_mode
+    user, group, mode = account(), group_of(path), path.stat().st_mode
     if mode & 0o060 != 0o060 or group in (None, "root"):
         return (
             f"{path} may be used by its owner alone",
             "as root: spheremouse service install, which places the udev rules; or unplug it and plug it in again",
         )
-    if group in _groups_of(who):
+    if group in _groups_of(user):
         return (
-            f"{path} belongs to the group {group}, and {who} is a member only from the next login on",
+            f"{path} belongs to the group {group}, and {user} is a member only from the next login on",
             "log out and in again",
         )
     return (
-        f"{path} belongs to the group {group}, and {who} is no member",
-        f"as root: usermod -aG {group} {who}, then log in again",
+        f"{path} belongs to the group {group}, and {user} is no member",
+        f"as root: usermod -aG {group} {user}, then log in again",
     )
 
 
@@ -59,10 +59,10 @@ def group_of(path: Path) -> str | None:
         return None
 
 
-def _groups_of(who: str) -> list[str]:
+def _groups_of(user: str) -> list[str]:
     import grp
 
-    return [g.gr_name for g in grp.getgrall() if who in g.gr_mem]
+    return [g.gr_name for g in grp.getgrall() if user in g.gr_mem]
 
 
 def service_files(name: str = "") -> Path:
@@ -80,5 +80,5 @@ def service_files(name: str = "") -> Path:
 def shipped(path: str) -> str:
     """Return the text of a file of the repository that the installed package has too, by its path in the repository."""
     package = Path(spheremouse.__file__).parent
-    beside = package.parent / path
-    return (beside if beside.is_file() else package / "_service" / beside.name).read_text("utf-8")
+    sibling = package.parent / path
+    return (sibling if sibling.is_file() else package / "_service" / sibling.name).read_text("utf-8")

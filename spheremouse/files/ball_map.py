@@ -92,13 +92,13 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path, kind: str) -> None:
     )
     if saved.map.kind != kind:
         raise ConfigurationError(f"{path}: is a map of {saved.map.kind}, and the tracker follows {kind}: {remedy}")
-    for what, there, here, most in (
+    for what, saved_radius, radius, tolerance in (
         ("a ball", saved.ball_radius, rig.ball.radius, BALL_DIFFERS),
         ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
     ):
-        if there is not None and here is not None and abs(there - here) > most * here:
+        if saved_radius is not None and radius is not None and abs(saved_radius - radius) > tolerance * radius:
             raise ConfigurationError(
-                f"{path}: was made with {what} of radius {there:g} m, the rig has {here:g} m: {remedy}"
+                f"{path}: was made with {what} of radius {saved_radius:g} m, the rig has {radius:g} m: {remedy}"
             )
 
 

@@ -277,6 +277,7 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
 
 
 def _applied(document: Document, settings: S) -> S:
+    """Return the settings with the values of a checked document."""
     return _updated(settings, validated(document, model_of(type(settings))), document, ())
 
 
@@ -335,6 +336,7 @@ def _assignment(field: "dataclasses.Field[Any]", value: Any) -> str:
 
 
 def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iterator[str]:
+    """Yield the lines of a configuration file: each setting below its description, sections indented."""
     hints, indent = _hints(type(settings)), "  " * len(prefix)
     first = bool(prefix)
     for field in _ordered(type(settings)):

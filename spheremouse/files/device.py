@@ -101,6 +101,7 @@ def device_template() -> str:
 
 
 def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
+    """Yield all contradictions of a device file."""
     ids = [t.id for t in file.targets]
     yield from repeated_targets([(t.id, t.code) for t in file.targets])
     yield from _size_problems(file)

@@ -85,6 +85,7 @@ def read_fictrac(path: Path) -> FicTracConfig:
 
 
 def _value(config: FicTracConfig, key: str, text: str, form: str) -> Any:
+    """Parse the value of a key by the form of its text; a wrong one is refused with its line."""
     try:
         if form == _NUMBER:
             return _number(text)

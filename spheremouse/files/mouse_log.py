@@ -51,9 +51,9 @@ def read_log(path: Path) -> MouseLog:
         raise DatasetError(f"{path}: no such file; make one with `spheremouse log-mouse`")
     table = read_columns(path, _COLUMNS)
     stamp = table["t"]
-    back = np.flatnonzero(np.diff(stamp) < 0.0)
-    if len(back):
-        k = int(back[0])
+    decreasing = np.flatnonzero(np.diff(stamp) < 0.0)
+    if len(decreasing):
+        k = int(decreasing[0])
         raise DatasetError(f"{path}, report {k + 2}: t goes back, from {stamp[k]} to {stamp[k + 1]} s")
     if len(stamp) and stamp[-1] - stamp[0] > _MAX_SECONDS:
         raise DatasetError(

@@ -71,6 +71,7 @@ def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap
 
 
 def _packed(picture: Picture) -> bytes:
+    """Return a picture as bytes that compress well: values by high and low bytes, then weights."""
     known = picture.weight > 0.5 * _WEIGHT
     value = np.where(known, np.clip(np.rint(picture.value / _VALUE), -32768, 32767), 0).astype("<i2")
     weight = np.clip(np.rint(picture.weight / _WEIGHT), 0, 255).astype(np.uint8)

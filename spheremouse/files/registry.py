@@ -90,8 +90,8 @@ class _Blame(NamedTuple):
         except SpheremouseError:
             raise
         except Exception as e:  # a plug-in may raise anything
-            why = " ".join(f"{type(e).__name__}: {e}".split())[:200]
-            raise self.error(f"{self.name}: the plug-in {self.module} fails ({why}); {_REMEDY}") from e
+            reason = " ".join(f"{type(e).__name__}: {e}".split())[:200]
+            raise self.error(f"{self.name}: the plug-in {self.module} fails ({reason}); {_REMEDY}") from e
 
 
 class _PlugIn:
@@ -108,6 +108,8 @@ class _PlugIn:
         return self._guarded(member) if callable(member) else member
 
     def _guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a plug-in's function whose errors name the plug-in."""
+
         def call(*args: Any, **kwargs: Any) -> Any:
             with self._blame.catch():
                 return function(*args, **kwargs)
@@ -144,14 +146,14 @@ def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> Modu
 
     `what` is the kind of plug-in in the message, for example "output".
     """
-    whose = f"{what} {entry.name}: the plug-in {entry.value}"
+    origin = f"{what} {entry.name}: the plug-in {entry.value}"
     try:
         module = entry.load()
     except Exception as e:  # a plug-in may raise anything
-        why = " ".join(f"{type(e).__name__}: {e}".split())[:200]
-        raise error(f"{whose} cannot be loaded ({why}); {_REMEDY}") from None
+        reason = " ".join(f"{type(e).__name__}: {e}".split())[:200]
+        raise error(f"{origin} cannot be loaded ({reason}); {_REMEDY}") from None
     if not callable(getattr(module, "open", None)):
-        raise error(f"{whose} breaks the contract: has no function `open`; {_REMEDY}")
+        raise error(f"{origin} breaks the contract: has no function `open`; {_REMEDY}")
     return module
 
 

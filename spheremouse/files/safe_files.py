@@ -300,13 +300,13 @@ def _folders_on_the_way(folder: Path) -> set[Path]:
     found, left, links = set[Path](), [folder.absolute()], 0
     while left:
         path = left.pop()
-        for there in (path, *path.parents):
-            if there not in found and there.is_symlink():
+        for place in (path, *path.parents):
+            if place not in found and place.is_symlink():
                 links += 1
                 if links > _MAX_LINKS:
                     raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder))
-                left.append(there.parent / there.readlink())
-            found.add(there)
+                left.append(place.parent / place.readlink())
+            found.add(place)
     return found
 
 

@@ -156,8 +156,8 @@ def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, valu
 
 
 def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
-    here = _model_at(parent, model)
-    siblings = list(here.model_fields) if here else []
+    section = _model_at(parent, model)
+    siblings = list(section.model_fields) if section else []
     if difflib.get_close_matches(word, siblings, cutoff=0.6):
         return nearest(word, siblings)
     everywhere = [dotted(k) for k in _all_keys(model)]

@@ -158,14 +158,15 @@ def _colour_problems(file: WandModel, colours: Mapping[str, ColourSettings]) -> 
 def _overlaps(ball: WandBall) -> Iterator[Problem]:
     for i, disc in enumerate(ball.discs):
         for k, other in enumerate(ball.discs[:i]):
-            apart = float(np.arccos(np.clip(disc.direction @ other.direction, -1.0, 1.0)))
-            if apart < disc.angle + other.angle:
+            angle = float(np.arccos(np.clip(disc.direction @ other.direction, -1.0, 1.0)))
+            if angle < disc.angle + other.angle:
                 gap = np.degrees(disc.angle + other.angle)
-                text = f"overlaps disc {k + 1}: {np.degrees(apart):.1f} degrees apart, {gap:.1f} would touch"
+                text = f"overlaps disc {k + 1}: {np.degrees(angle):.1f} degrees apart, {gap:.1f} would touch"
                 yield Problem(("discs", i), text)
 
 
 def _symmetries(ball: WandBall, document: Document) -> Iterator[Problem]:
+    """Yield a problem if a ball looks the same in two attitudes."""
     turn = symmetry(ball)
     if turn is None:
         return
@@ -181,13 +182,13 @@ def symmetry(ball: WandBall) -> Array | None:
     kinds = [(d.colour, round(float(np.degrees(d.angle)))) for d in ball.discs]
     first = 0
     second = int(np.argmin(np.abs(directions @ directions[first])))  # the nearest to a right angle
-    apart = directions[first] @ directions[second]
+    cosine = directions[first] @ directions[second]
     for i, a in enumerate(directions):
         for k, b in enumerate(directions):
             if (
                 kinds[i] != kinds[first]
                 or kinds[k] != kinds[second]
-                or abs(a @ b - apart) > np.sin(_MAX_SEPARATION_OF_SAME_DISC_RAD)
+                or abs(a @ b - cosine) > np.sin(_MAX_SEPARATION_OF_SAME_DISC_RAD)
             ):
                 continue
             turn = align(directions[[first, second]], np.array([a, b]))
@@ -195,7 +196,9 @@ def symmetry(ball: WandBall) -> Array | None:
                 continue
             angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
             nearest = np.argmin(angles, axis=1)
-            same = all(kinds[j] == kinds[n] for j, n in enumerate(nearest)) and len(set(nearest.tolist())) == len(kinds)
-            if same and float(np.max(angles[np.arange(len(kinds)), nearest])) < _MAX_SEPARATION_OF_SAME_DISC_RAD:
+            is_symmetry = all(kinds[j] == kinds[n] for j, n in enumerate(nearest)) and len(
+                set(nearest.tolist())
+            ) == len(kinds)
+            if is_symmetry and float(np.max(angles[np.arange(len(kinds)), nearest])) < _MAX_SEPARATION_OF_SAME_DISC_RAD:
                 return turn
     return None

@@ -253,16 +253,16 @@ def _plain(node: Node, key: Key, lines: dict[Key, int], problems: list[Problem])
     for name, value in node.value:
         line = name.start_mark.line + 1
         word = name.value if isinstance(name, ScalarNode) else "?"
-        here = (*key, word)
+        path = (*key, word)
         if not isinstance(name, ScalarNode):
-            lines[here] = line
-            problems.append(Problem(here, "a key must be a word, not a list or a section"))
+            lines[path] = line
+            problems.append(Problem(path, "a key must be a word, not a list or a section"))
             continue
         if word in data:
-            problems.append(Problem(here, f"stands here and in line {line}; remove one of them"))
+            problems.append(Problem(path, f"stands here and in line {line}; remove one of them"))
             continue
-        lines[here] = line
-        data[word] = _plain(value, here, lines, problems)
+        lines[path] = line
+        data[word] = _plain(value, path, lines, problems)
     return data
 
 

@@ -59,6 +59,7 @@ class CsvWriter:
         self._file.close()
 
     def _write(self, data: bytes) -> None:
+        """Write all bytes; after an error, cut the file to whole rows."""
         left = memoryview(data)
         try:
             while left:

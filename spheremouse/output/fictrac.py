@@ -61,6 +61,7 @@ class FicTrac:
         return []
 
     def _line(self, sample: Sample) -> str:
+        """Return FicTrac's columns for a sample, and continue the path."""
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
             self._x = self._y = self._heading = 0.0

@@ -65,6 +65,7 @@ class Gamepad(Output):
             uinput.write_events("gamepad", self._device, EV_ABS, events)
 
     def _release(self) -> None:
+        """Return the sticks to the centre."""
         with contextlib.suppress(OutputError):  # the next report raises it
             self._move(_CENTRE)
 

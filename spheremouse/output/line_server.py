@@ -79,6 +79,7 @@ class Server(Generic[ClientType]):
             connection.close()
 
     def _serve(self) -> None:
+        """Accept clients, read and write, until the server is stopped."""
         while True:
             for key, _ in self._selector.select():
                 if key.data is None:
@@ -117,6 +118,7 @@ class Server(Generic[ClientType]):
             self._selector.unregister(connection)  # it may still read
 
     def _end(self) -> None:
+        """Send each client its last bytes without waiting, and close everything."""
         for connection, client in tuple(self._clients.items()):
             self._write(connection, client.last_bytes())
             self._drop(connection)

@@ -187,6 +187,7 @@ def _take(
     stamp: float,
     prediction: tuple[float, float, float],  # as `_prediction` returns it
 ) -> AxisTrajectory:
+    """Return an axis after a frame: with its counts, its overshoot, and the line to the prediction at `goal_time`."""
     speed, acceleration, duration = prediction
     direction = 1 if counts > 0 else -1 if counts < 0 else axis.direction
     overshoot = axis.overshoot

@@ -242,6 +242,7 @@ class OutputThread:
         self._next_time = after if now < self._resampler.until else inf
 
     def _send(self, report: Report, due: Counts) -> bool:
+        """Send a report, after which `due` is sent. Return whether the output took it, and log each change."""
         assert self._output is not None
         self._calls.pending = call = (_SENDS, self._output.hang_hint)  # as `run`, which would cost each report more
         try:
@@ -281,6 +282,7 @@ class OutputThread:
         self._next_time = inf
 
     def _enter(self) -> None:
+        """Open the output, and read whether it is paced and confirms deliveries."""
         self._output = output = self._open().__enter__()
         self._paced, self._acknowledges = output.paced, type(output).delivery is not Output.delivery
 

@@ -43,6 +43,7 @@ class Text(Output):
             self._write(line)
 
     def _write(self, text: str) -> None:
+        """Write a line. Raise OutputClosed if the reader is gone; discard unwritten text after an error."""
         if self._reader_gone:
             raise OutputClosed(self._name)
         try:

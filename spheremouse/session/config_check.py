@@ -49,9 +49,9 @@ def validate(file: Path, c: Configuration) -> Found:
     if c.source is not None:
         _probe(("source",), capture.probe, c.source, found)
     for name, assignments in c.profiles.items():
-        late = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
+        at_start = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
         found.wrong += [
-            Problem(("profiles", name, key), "read at the start only; move it out of the profile") for key in late
+            Problem(("profiles", name, key), "read at the start only; move it out of the profile") for key in at_start
         ]
     for spec in c.outputs:
         _probe(("output",), output.probe, spec, found)

@@ -75,9 +75,9 @@ def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[di
 def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
     """Raise ControlError if an assignment could not take effect."""
     sections = {key_of(a).partition(".")[0] for a in assignments}
-    if late := sorted(sections.intersection(AT_START)):
+    if at_start := sorted(sections.intersection(AT_START)):
         raise ControlError(
-            f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
+            f"{', '.join(at_start)}: read at the start only; write it into the configuration file and start again"
         )
     if overrides.no_map and "map" in sections:
         raise ControlError("map: this run keeps none; start again without --no-map")
@@ -91,11 +91,13 @@ def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
         raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read this setting")
 
 
-def values(before: RunConfig, now: RunConfig, assignments: tuple[str, ...]) -> Values:
+def values(old_plan: RunConfig, new_plan: RunConfig, assignments: tuple[str, ...]) -> Values:
     """Return old and new value of each parameter that has changed or was assigned."""
-    a, b = ({dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (before, now))
-    asked = set(map(key_of, assignments))
-    return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in asked}
+    a, b = (
+        {dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (old_plan, new_plan)
+    )
+    assigned = set(map(key_of, assignments))
+    return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in assigned}
 
 
 def describe_changes(values: Values) -> str:
@@ -224,14 +226,14 @@ class ConfigReloader:
 
         `pending` gets the file, and the settings as KEY=VALUE.
         """
-        path, asked = self.overrides.saved, request.keys
+        path, keys = self.overrides.saved, request.keys
         if path is None:
             raise ControlError("save: the daemon leaves it to its client: spheremouse ctl save")
         if request.forget:
             path.unlink(missing_ok=True)
             self.reload(pending)
             return
-        changes = tuple(c for c in self.overrides.changes if asked is None or key_of(c) in asked)
+        changes = tuple(c for c in self.overrides.changes if keys is None or key_of(c) in keys)
         if fixed := sorted(set(map(key_of, changes)) & set(given(self.overrides))):
             raise ControlError(
                 f"{', '.join(fixed)}: set on the command line, which overrides it; start again without that option"
@@ -264,6 +266,7 @@ class ConfigReloader:
         self._load(replace(self.overrides, changes=()), pending)
 
     def _load(self, wanted: CommandLineOverrides, pending: PendingRequest, assigned: tuple[str, ...] = ()) -> None:
+        """Read and check the configuration in another thread. Between two frames, apply it or report its error."""
         before = self.plan
 
         def read() -> None:

@@ -131,11 +131,13 @@ def sentence(event: Event, words: Words) -> str:
         case events.NewMap(saved=True):
             return f"the saved map does not fit: another ball, or {words.altered}; the tracker begins a new map"
         case events.NewMap():
-            again = "a new map begins at the last known attitude; motion that the camera did not see is not counted"
-            return f"tracking again: {again}"
+            explanation = (
+                "a new map begins at the last known attitude; motion that the camera did not see is not counted"
+            )
+            return f"tracking again: {explanation}"
         case events.OutOfRound():
-            why = "it is out of round, the camera was moved, or the rig is wrong"
-            return f"the {parts} do not fit a ball that turns about its centre: {why}"
+            cause = "it is out of round, the camera was moved, or the rig is wrong"
+            return f"the {parts} do not fit a ball that turns about its centre: {cause}"
         case events.ReadoutKnown(readout):
             return (
                 f"rolling shutter: {1e3 * readout:.1f} ms for all rows (set readout_s: {readout:.4f} in the rig file)"
@@ -143,8 +145,8 @@ def sentence(event: Event, words: Words) -> str:
         case events.DiscColours(weights):
             return _in_colours(weights)
         case events.CameraMoved(path, turn, asked):
-            moved = "" if asked else "the camera was moved: "
-            return f"{moved}new pose ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
+            prefix = "" if asked else "the camera was moved: "
+            return f"{prefix}new pose ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
         case events.TargetsHidden():
             return "the targets are out of sight: if the camera was moved, initialise again"
         case _:
@@ -184,6 +186,7 @@ def _in_colours(weights: tuple[float, float, float]) -> str:
 
 
 def _why(lost: BallLost, words: Words) -> str:
+    """Return the cause of a loss of the ball, in words."""
     match lost.why:
         case Why.UNSEEN:
             seen = f"{lost.discs} {words.parts} in view, none where it should be"
@@ -192,8 +195,8 @@ def _why(lost: BallLost, words: Words) -> str:
         case Why.GAP:
             return f"no frame for {lost.figure:.1f} s"
         case Why.OFF_CENTRE:
-            by = f"{100.0 * lost.figure:.1f} % of its radius" if lost.radii else f"{1e3 * lost.figure:.0f} mm"
-            return f"the ball does not turn about its centre, off by {by}: lifted, or out of round"
+            offset = f"{100.0 * lost.figure:.1f} % of its radius" if lost.radii else f"{1e3 * lost.figure:.0f} mm"
+            return f"the ball does not turn about its centre, off by {offset}: lifted, or out of round"
         case Why.CAMERA:
             return "the camera was moved, and its pose is not found: uncover the targets, or initialise again"
         case _:
@@ -206,11 +209,11 @@ def standing(resection: Resection, rig: Rig) -> str:
     size, unit, digits = (1.0 / rig.ball.radius, "radii", 3) if rig.scale_free else (1e3, "mm", 0)
     sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
     x, y, z = (f"{round(size * float(v), digits) + 0.0:.{digits}f}" for v in pose.position)
-    away, turned = (", ".join(f"{v:.2g}" for v in s) for s in (size * sigma[:3], np.degrees(sigma[3:])))
+    position, rotation = (", ".join(f"{v:.2g}" for v in s) for s in (size * sigma[:3], np.degrees(sigma[3:])))
     fit = float(np.sqrt(np.mean(resection.residual**2)))
     return (
         f"camera pose: x {x}, y {y}, z {z} {unit} from the ball's centre (right, up, towards the camera); one standard "
-        f"deviation {away} {unit} and {turned}°; targets {', '.join(resection.codes)} fit to {fit:.3f} px"
+        f"deviation {position} {unit} and {rotation}°; targets {', '.join(resection.codes)} fit to {fit:.3f} px"
     )
 
 
@@ -219,8 +222,8 @@ def list_targets(seen: Iterable[str], known: Iterable[str] | None) -> str:
     seen, known = list(seen), None if known is None else list(known)
     if known is None:
         return f"{len(seen)} target{'' if len(seen) == 1 else 's'}{': ' if seen else ''}{' '.join(seen)}"
-    here, others = [c for c in known if c in seen], sorted(set(seen) - set(known))
-    text = f"{len(here)} of the rig's {len(known)} targets{': ' if here else ''}{' '.join(here)}"
+    present, others = [c for c in known if c in seen], sorted(set(seen) - set(known))
+    text = f"{len(present)} of the rig's {len(known)} targets{': ' if present else ''}{' '.join(present)}"
     return f"{text}; not in the rig: {' '.join(others)}" if others else text
 
 

@@ -56,21 +56,21 @@ def initialise(
         return Start(rig.pose, resection=None, frames=frames)
     if len(rig.targets.codes) < 3:
         raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
-    said: str | None = None
+    last_text: str | None = None
     passed = 0
     while True:
         views = list(islice(frames, settings.pose.frames))
         if not views:
-            raise PoseError(said or "the source gave no frame")
+            raise PoseError(last_text or "the source gave no frame")
         for view in views:
             check_size(view, rig.camera)
         try:
             seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
             resection = find_pose(seen, rig, views[0].image)
         except PoseError as e:
-            if str(e) != said:
-                said = str(e)
-                report(said)
+            if str(e) != last_text:
+                last_text = str(e)
+                report(last_text)
             passed += len(views)
             continue
         return Start(resection.pose, resection, chain(views, frames), passed)

@@ -67,8 +67,8 @@ class Outputs:
 
     def begin(self) -> None:
         """Start the threads, which open the outputs. Raises ControlError if the system refuses a thread."""
-        late, self._late = self._late, None
-        for thread in late or ():
+        delayed, self._late = self._late, None
+        for thread in delayed or ():
             begin(thread)
 
     def submit(self, report: Report, taken: float, *, wanted: bool) -> None:
@@ -97,7 +97,7 @@ class Outputs:
     def exchange(self, specs: Sequence[str], settings: PointerSettings) -> None:
         """Use other outputs; those that stay go on. ControlError if the system refuses a thread: then all stay."""
         kept = {output.spec: output for output in self._all if output.spec in specs}
-        gone = [output.thread for output in self._all if output.spec not in specs]
+        removed = [output.thread for output in self._all if output.spec not in specs]
         before, submitted, closed = self.main, self._submitted, Future[bool]()
         made: dict[str, RunOutput] = {}
         try:
@@ -116,7 +116,7 @@ class Outputs:
             self._submitted = _NONE
 
         def retire() -> None:
-            for thread in gone:
+            for thread in removed:
                 thread.close()
             closed.set_result(True)
             if another_main:

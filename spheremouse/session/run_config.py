@@ -144,14 +144,14 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         raise ConfigurationError(
             "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
         )
-    to = c.outputs
-    if not to:
+    outputs = c.outputs
+    if not outputs:
         raise ConfigurationError(
             "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
             '(in quotes, "null", where motion is to go nowhere)'
         )
-    if twice := next((spec for k, spec in enumerate(to) if spec in to[:k]), None):
-        raise ConfigurationError(f"output: {twice} is given twice; leave one out")
+    if repeated := next((spec for k, spec in enumerate(outputs) if spec in outputs[:k]), None):
+        raise ConfigurationError(f"output: {repeated} is given twice; leave one out")
     if c.map is not None and c.tracker != "so3" and not overrides.no_map:
         raise ConfigurationError(f"map: tracker {c.tracker} keeps no map; use so3, or leave the map out")
     rig_path, camera_path, map_file = (beside(overrides.file, name) for name in (c.rig, c.camera_file, c.map))
@@ -163,7 +163,9 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         map_file = _usual_map(rig_path, map_kind(rig, c))
     ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
     balls, source = read_balls(ball_paths), sources.full_spec(c.source)
-    return RunConfig(c, source, to, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved)
+    return RunConfig(
+        c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved
+    )
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:

@@ -186,8 +186,8 @@ class Daemon:
             if arrival is not None:
                 self._work(arrival, now)
             self._update_state(now)
-            late = not self._arrivals.expected(now)
-            if arrival is not None or finished or late or self._arrivals.time_left(now) > _REQUEST_TIME:
+            frame_overdue = not self._arrivals.expected(now)
+            if arrival is not None or finished or frame_overdue or self._arrivals.time_left(now) > _REQUEST_TIME:
                 self._requests.run(self._handle)
             if arrival is None and finished:
                 if self._capture.failure is not None:
@@ -293,6 +293,7 @@ class Daemon:
             self._log(str(notice))
 
     def _claim(self, thread: int | None) -> None:
+        """Request real-time scheduling for a thread, if it is configured."""
         if self._realtime:
             realtime.claim(thread)
 
@@ -413,6 +414,7 @@ class Daemon:
         replay.control(controls, steps=int(request.step), rewind=request.rewind)
 
     def _pause(self, paused: bool) -> None:
+        """Pause or resume the replay, or else the outputs, and log the change of state before anything moves."""
         if self._setup.replay is not None:
             self._setup.replay.set_paused(paused)
         else:

@@ -84,8 +84,8 @@ class Setup:
             )
         balls = plan.balls.balls or self.balls or (grzonka_ball(),)
         if settings.points > len(balls):
-            many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
-            raise ConfigurationError(f"wand.points: is {settings.points}, but there {many}; balls are counted from 1")
+            number = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
+            raise ConfigurationError(f"wand.points: is {settings.points}, but there {number}; balls are counted from 1")
         return build(camera, with_distinct_names(balls), settings, plan.balls.colours)
 
 

@@ -112,6 +112,7 @@ class StateMonitor:
         return state is State.NO_CAMERA and before[0] is not state
 
     def _conditions(self, now: float) -> Conditions:
+        """Collect the facts from which the state is derived."""
         worker, capture, starting = self._worker, self._capture, self.starting
         if not starting and capture.attempts <= 1 and worker.seen == 0 and capture.opening:
             starting = capture.trouble

@@ -25,9 +25,9 @@ TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that adapters hav
 
 def here(_: str, work: Work) -> None:
     """Do the work in this thread, at once. A `Do`."""
-    then = work()
-    if then is not None:
-        then()
+    follow_up = work()
+    if follow_up is not None:
+        follow_up()
 
 
 @dataclass(frozen=True, slots=True)

@@ -216,11 +216,11 @@ def _pruned(objective: Objective, best: Values) -> tuple[Values, dict[str, float
     gains: dict[str, float] = {}
     loss = float(objective.losses(best).mean()) if best else 0.0
     for key in list(best):
-        without = {k: v for k, v in best.items() if k != key}
-        lost = float((objective.losses(without) if without else objective.present).mean())
+        remaining = {k: v for k, v in best.items() if k != key}
+        lost = float((objective.losses(remaining) if remaining else objective.present).mean())
         gain = 1.0 - loss / lost if lost > 0.0 else 0.0
         if gain < _MIN_SAVED_FRACTION:
-            best, loss = without, lost
+            best, loss = remaining, lost
         else:
             gains[key] = gain
     return best, gains

@@ -79,6 +79,7 @@ class Worker:
         }
 
     def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:
+        """Count a frame, a loss of the ball, and the time of each stage."""
         self.frames += 1
         if self.adapter.status is Status.LOST and before is not Status.LOST:
             self.lost += 1

@@ -91,13 +91,13 @@ class Lighting:
         view /= _length(view)[:, None]
         cosine = np.clip(_dot(normals, view), 0.0, 1.0)
         fresnel = 0.04 + 0.96 * (1.0 - cosine) ** 5
-        away = 2.0 * cosine[:, None] * normals - view
-        seen = 0.55 * _ambient(away)
+        reflected = 2.0 * cosine[:, None] * normals - view
+        seen = 0.55 * _ambient(reflected)
         for lamp in self.lamps:
             n = np.cross(lamp.up, lamp.right)
             with np.errstate(divide="ignore", invalid="ignore"):
-                s = ((lamp.centre - points) @ n) / (away @ n)
-            at = points + np.where(np.isfinite(s) & (s > 0.0), s, 0.0)[:, None] * away - lamp.centre
+                s = ((lamp.centre - points) @ n) / (reflected @ n)
+            at = points + np.where(np.isfinite(s) & (s > 0.0), s, 0.0)[:, None] * reflected - lamp.centre
             inside = np.ones(len(points))
             for half in (lamp.right, lamp.up):
                 size = np.linalg.norm(half)
@@ -113,15 +113,15 @@ class Lighting:
         for strip in self.strips:
             with np.errstate(divide="ignore", invalid="ignore"):
                 s = (strip.z - points[:, 2]) / to_lamp[:, 2]
-                between = (s > 0.005) & (s < 1.0)
-                at = points[:, :2] + np.where(between, s, 0.0)[:, None] * to_lamp[:, :2]
+                in_between = (s > 0.005) & (s < 1.0)
+                at = points[:, :2] + np.where(in_between, s, 0.0)[:, None] * to_lamp[:, :2]
             x = np.minimum(at[:, 0] - strip.x[0], strip.x[1] - at[:, 0])
             y = np.minimum(at[:, 1] - strip.y[0], strip.y[1] - at[:, 1])
-            s = np.where(between, s, 0.5)
+            s = np.where(in_between, s, 0.5)
             soft = 0.004 + 0.35 * s / (1.0 - s)
             half = 0.5 * (strip.x[1] - strip.x[0])
             dark = np.minimum(1.0, half / soft)  # a strut narrower than the half shadow never hides the whole lamp
-            share *= 1.0 - between * dark * _step(x, soft) * _step(y, soft)
+            share *= 1.0 - in_between * dark * _step(x, soft) * _step(y, soft)
         return share
 
 

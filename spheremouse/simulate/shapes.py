@@ -184,9 +184,9 @@ class Viewpoint:
         flat = np.ascontiguousarray(np.moveaxis(xy, 2, 0))  # NumPy reduces the last axis of a compact array fastest
         lost = np.isnan(flat)  # no ray comes from there
         low, high = np.where(lost, np.inf, flat).min(axis=2).T, np.where(lost, -np.inf, flat).max(axis=2).T
-        apart = ((high[:, None] < self.low) | (low[:, None] > self.high)).any(axis=2)
-        for index in np.flatnonzero(~apart.all(axis=0)):
-            near = np.flatnonzero(~apart[:, index])
+        separate = ((high[:, None] < self.low) | (low[:, None] > self.high)).any(axis=2)
+        for index in np.flatnonzero(~separate.all(axis=0)):
+            near = np.flatnonzero(~separate[:, index])
             s = self.shapes[index].hit(self.origin, rays[near].reshape(-1, 3)).reshape(len(near), -1)
             nearer = s < depth[near]
             first[near] = np.where(nearer, index, first[near])

@@ -77,6 +77,7 @@ def owners_address(address: str, port: int, token: str) -> str:
 
 
 def _cookie(header: str) -> str | None:
+    """Return the token in a Cookie header, or None."""
     try:
         found = SimpleCookie(header).get(COOKIE)
     except CookieError:

@@ -207,6 +207,7 @@ class Daemon:
     # ---- the thread ----
 
     def _run(self) -> None:
+        """Keep a connection to the daemon while somebody watches, and pass its events to the loop."""
         while self._wanted.wait() and not self._closed:
             socket = self.socket
             try:
@@ -237,6 +238,7 @@ class Daemon:
             return _describe(client)
 
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function in the loop's thread."""
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 

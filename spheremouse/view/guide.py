@@ -157,6 +157,7 @@ class Guide:
         self._publish(self.state())
 
     async def _follow(self, process: Process) -> None:
+        """Take the lines of a step's process, and publish how it ended."""
         assert process.stdout is not None
         with contextlib.suppress(ValueError):  # a line without an end
             async for line in process.stdout:

@@ -110,6 +110,7 @@ class Page:
                 self._leaving = asyncio.create_task(self._rest())
 
     async def _rest(self) -> None:
+        """Close the connection to the daemon when no browser has come back for a while."""
         await asyncio.sleep(_LINK_KEPT_S)
         if not self.browsers:
             self.actions.recordings.end()
@@ -117,6 +118,7 @@ class Page:
             await self.guide.stop(LOOK)
 
     def _publish(self, message: dict[str, Any]) -> None:
+        """Send a message to all browsers; that of the guide to owners only."""
         kind = message["type"]
         text = None if kind == "hello" else json.dumps(message)
         for browser in self.browsers:
@@ -167,6 +169,7 @@ class _Browser:
                 task.cancel()
 
     async def _send(self) -> None:
+        """Send the waiting messages one by one. A browser that does not read is disconnected."""
         with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
             while await self._has_waiting.wait():
                 _, message = self._waiting.popleft()
@@ -181,6 +184,7 @@ class _Browser:
                     return
 
     async def _take(self, text: str) -> None:
+        """Obey a message of the browser, or answer why it is invalid."""
         try:
             message = _MESSAGES.validate_json(text)
         except ValidationError as e:
@@ -277,6 +281,7 @@ FILES = {
 
 
 def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
+    """Return who sent a request, or None if access is refused."""
     headers, client = request.headers, request.client
     return access.visitor(
         "" if client is None else client.host,

@@ -103,15 +103,15 @@ def colour_fields(
     bounds = _bounds(colours, names, known.mean)
     binary, count, white = _binary_pictures(part, bounds)
     weight = np.empty_like(binary)
-    for one, to in zip(binary, weight, strict=True):
-        cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
+    for picture, blurred in zip(binary, weight, strict=True):
+        cv2.GaussianBlur(picture, _KERNEL, 0.0, dst=blurred, borderType=cv2.BORDER_REPLICATE)
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
     fraction = known.fraction if region else count / max(binary[0].size, 1)
     rim = [
         rim_shift(colours[name]) / factor
         if colours[name].saturation_min > 0.0
-        else rim_shift_by_brightness(part, one, bound, factor)
-        for name, one, bound in zip(names, binary, bounds, strict=True)
+        else rim_shift_by_brightness(part, picture, bound, factor)
+        for name, picture, bound in zip(names, binary, bounds, strict=True)
     ]
     return Fields(weight, binary, left, top, factor, fraction, names, np.array(rim), glare)
 
@@ -126,8 +126,8 @@ def _binary_pictures(
     image: Image, bounds: NDArray[np.float32]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8] | None]:
     """Return binary pictures, (c, h, w), their numbers of pixels, and overexposed pixels of no colour, if any."""
-    binary, count, white, some = kernels.select_colours(image, bounds)
-    return binary, count, white if some >= _MIN_GLARE_PIXELS else None
+    binary, count, white, count_white = kernels.select_colours(image, bounds)
+    return binary, count, white if count_white >= _MIN_GLARE_PIXELS else None
 
 
 def _glare(

@@ -104,8 +104,8 @@ def update_second_ball(
     least = max(s.evidence, 0.5 * modes.log_likelihood[0])
     good = [i for i, value in enumerate(modes.log_likelihood) if value >= least and modes.match[i] >= CERTAIN_MATCH]
     for k in modes_without_prior(modes.select(good), context).peaks:
-        apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
-        if apart < ball.radius / k.position[2] + ball.radius / first[2]:
+        separation = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
+        if separation < ball.radius / k.position[2] + ball.radius / first[2]:
             continue
         times, before = track.second or (0, k.position)
         moved_by = np.linalg.norm(k.position[:2] / k.position[2] - before[:2] / before[2]) * k.position[2]

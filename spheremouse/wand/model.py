@@ -86,6 +86,7 @@ def _solid_angle(angle: float, colour: int) -> float:
 
 
 def _spiral(n: int) -> Array:
+    """Return n directions, (n, 3), evenly spread over the sphere (golden spiral)."""
     z = 1.0 - (np.arange(n) + 0.5) * 2.0 / n
     azimuth = np.arange(n) * np.pi * (3.0 - np.sqrt(5.0))
     r = np.sqrt(1.0 - z * z)

@@ -25,7 +25,7 @@ def possible_motions(track: Track, dt: float, tracker: WandTracker) -> MotionMix
         return random_walk(dt, tracker)
     assert track.pose_velocity is not None
     stamp = track.stamp + dt
-    on = dt**2 * predicted_velocity_covariance(track.pose_velocity, stamp, max_acceleration(s))
+    motion_covariance = dt**2 * predicted_velocity_covariance(track.pose_velocity, stamp, max_acceleration(s))
     start = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
     shift = np.zeros((3, 6))
     shift[1] = track.velocity * dt
@@ -34,7 +34,9 @@ def possible_motions(track: Track, dt: float, tracker: WandTracker) -> MotionMix
         shift[1, 3:] *= _MAX_PREDICTED_ANGLE / angle
     # errors of successive frames are correlated, so no prediction is better than one frame
     error = track.measurement_covariance
-    covariance = np.stack([random_walk_covariance(dt, s) + error, limit_covariance(on + error), np.diag(start**2)])
+    covariance = np.stack(
+        [random_walk_covariance(dt, s) + error, limit_covariance(motion_covariance + error), np.diag(start**2)]
+    )
     return MotionMixture(shift, covariance, track.motion_probability * (1.0 - _BIRTH_PROBABILITY), _birth(tracker))
 
 
@@ -92,11 +94,11 @@ def motion_probabilities(track: Track, pose: tuple[Array, Array, Array], motions
     if len(motions.probability) < len(PRIOR_MOTION_PROBABILITY):
         return track.motion_probability
     p, R, covariance = track.pose
-    moved = pose_difference(p, R, *pose[:2])
+    displacement = pose_difference(p, R, *pose[:2])
     log_fit = np.empty(3)
     for m in range(3):
         S = motions.covariance[m] + pose[2] + covariance
-        d = moved - motions.shift[m]
+        d = displacement - motions.shift[m]
         log_fit[m] = np.log(motions.probability[m]) - 0.5 * (d @ np.linalg.solve(S, d) + np.linalg.slogdet(S)[1])
     posterior, _ = normalise(log_fit)
     return _PERSISTENCE * posterior + (1.0 - _PERSISTENCE) * PRIOR_MOTION_PROBABILITY

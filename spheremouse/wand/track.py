@@ -143,8 +143,8 @@ def _update_colour_problem(state: WandState, stamp: float, scene: Scene, tracks:
     if scene.whole is None:
         return state
     problem, patience = colour_problem(scene.whole, colours_turned_away(scene.tracker, tracks))
-    same = problem == state.colour_problem
-    age, lasted = (state.colour_problem_age, stamp - state.colour_problem_stamp) if same else (0.0, 0.0)
+    unchanged = problem == state.colour_problem
+    age, lasted = (state.colour_problem_age, stamp - state.colour_problem_stamp) if unchanged else (0.0, 0.0)
     age = age + lasted / (patience * scene.tracker.settings.look_around) if patience else 1.0
     return replace(state, colour_problem=problem, colour_problem_age=age, colour_problem_stamp=stamp)
 
@@ -254,6 +254,7 @@ def _filter(
 
 
 def _average(particles: Particles, nearest: NDArray[np.int64], modes: Modes) -> _Average:
+    """Return the mean pose of particles with its covariance, and the peak with most weight."""
     count = effective_number(particles.weight)
     p, R, sample = mean_pose(particles)
     peak = modes.peaks[int(np.bincount(nearest, particles.weight).argmax())]
@@ -313,9 +314,9 @@ def _gate(modes: Modes, track: Track, motions: MotionMixture, context: SearchCon
     p, R, covariance = track.pose
     kept, elsewhere = [], []
     for i, k in enumerate(modes.peaks):
-        moved = pose_difference(p, R, k.position, k.rotation)
+        displacement = pose_difference(p, R, k.position, k.rotation)
         d2 = [
-            (moved - d) @ np.linalg.solve(S + covariance, moved - d)
+            (displacement - d) @ np.linalg.solve(S + covariance, displacement - d)
             for d, S in zip(motions.shift, motions.covariance, strict=True)
         ]
         sudden = min(d2[:2]) >= GATE

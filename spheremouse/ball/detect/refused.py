@@ -96,6 +96,7 @@ class _Places:
 
 
 def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
+    """Return the rules to relax, one at a time: each bound with the settings in which it alone is wider."""
     hues = {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
     hues = {
         name: (max(low - _MAX_HUE_DIFFERENCE, 0), min(high + _MAX_HUE_DIFFERENCE, 180))

@@ -42,7 +42,7 @@ def with_noise_lines(mask: Image, rows: slice, columns: slice) -> Image:
     return mask
 
 
-def grown(mask: Image, by: int) -> Image:
-    """Return a mask, (h, w), with all pixels up to `by` px beside its own."""
-    side = 2 * by + 1
+def grown(mask: Image, radius_px: int) -> Image:
+    """Return a mask, (h, w), with all pixels up to `radius_px` beside its own."""
+    side = 2 * radius_px + 1
     return np.asarray(cv2.dilate(mask, np.ones((side, side), np.uint8)), dtype=np.uint8)

@@ -102,12 +102,12 @@ class EulerState:
             P = self.covariance
             P[:3] = P[:, :3] = 0.0
             return P
-        back = np.linalg.inv(left_jacobian(turn))
+        inverse = np.linalg.inv(left_jacobian(turn))
         G = np.eye(6)
-        G[:3, :3] = back
+        G[:3, :3] = inverse
         P = G @ self.covariance @ G.T
-        back = back @ exp(turn)
-        P[:3, :3] += back @ self.reference @ back.T
+        inverse = inverse @ exp(turn)
+        P[:3, :3] += inverse @ self.reference @ inverse.T
         return P
 
 
@@ -296,9 +296,9 @@ def _solve(S: Array, b: Array) -> Array:
 def _append_blocks(P: Array, blocks: Array) -> Array:
     """Return P, (u, u), with uncorrelated blocks (n, 3, 3) appended on the diagonal."""
     u, n = len(P), len(blocks)
-    out = np.zeros((u + 3 * n, u + 3 * n))
-    out[:u, :u] = P
+    extended = np.zeros((u + 3 * n, u + 3 * n))
+    extended[:u, :u] = P
     for k in range(n):
         at = slice(u + 3 * k, u + 3 * k + 3)
-        out[at, at] = blocks[k]
-    return out
+        extended[at, at] = blocks[k]
+    return extended

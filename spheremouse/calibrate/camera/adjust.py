@@ -76,16 +76,16 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
     sigma = spread
     for _ in range(len(views)):
         part = bundle.only(used)
-        some, x[unknowns_of(used)] = _with_variances(part, x[unknowns_of(used)])
-        limit = _MAX_RESIDUAL_RATIO * max(float(np.median(some)), MIN_SIGMA)
-        sigma = _all_sigmas(bundle, x, used, some)
+        variance_sigma, x[unknowns_of(used)] = _with_variances(part, x[unknowns_of(used)])
+        limit = _MAX_RESIDUAL_RATIO * max(float(np.median(variance_sigma)), MIN_SIGMA)
+        sigma = _all_sigmas(bundle, x, used, variance_sigma)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
-        again = used | (sigma <= limit)  # a view that only the coarse start rejected
+        accepted = used | (sigma <= limit)  # a view that only the coarse start rejected
         if sigma[worst] > limit and used.sum() > MIN_VIEWS:
-            again[worst] = False
-        if np.array_equal(again, used):
+            accepted[worst] = False
+        if np.array_equal(accepted, used):
             break
-        used = again
+        used = accepted
     return _with_covariance(bundle, x, used, sigma)
 
 
@@ -140,9 +140,9 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
         found, spread = None, np.full(n, np.inf)
     rng = np.random.default_rng(0)
     for _ in range(_SUBSETS):
-        few = np.isin(np.arange(n), rng.choice(n, _SUBSET_VIEWS, replace=False))
+        subset = np.isin(np.arange(n), rng.choice(n, _SUBSET_VIEWS, replace=False))
         try:
-            y = bundle.only(few).solve(x[unknowns_of(few)], np.ones(_SUBSET_VIEWS))
+            y = bundle.only(subset).solve(x[unknowns_of(subset)], np.ones(_SUBSET_VIEWS))
             R, t, _ = resect_views(bundle.views, camera_of(y, bundle.size))
         except CalibrationError:
             continue
@@ -183,16 +183,16 @@ def _with_variances(bundle: Bundle, x: Array) -> tuple[Array, Array]:
     return sigma, x
 
 
-def _all_sigmas(bundle: Bundle, x: Array, used: NDArray[np.bool_], some: Array) -> Array:
+def _all_sigmas(bundle: Bundle, x: Array, used: NDArray[np.bool_], own_sigma: Array) -> Array:
     """Standard deviation of a corner's coordinate in each view, (v,) px; sets the unused views' poses in x."""
     sigma = np.empty(len(bundle.views))
-    sigma[used] = some
-    out = np.flatnonzero(~used)
-    if len(out):
-        R, t, residuals = resect_views([bundle.views[v] for v in out.tolist()], camera_of(x, bundle.size))
-        for k, v in enumerate(out.tolist()):
+    sigma[used] = own_sigma
+    left_out = np.flatnonzero(~used)
+    if len(left_out):
+        R, t, residuals = resect_views([bundle.views[v] for v in left_out.tolist()], camera_of(x, bundle.size))
+        for k, v in enumerate(left_out.tolist()):
             x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
-        sigma[out] = [robust_sigma(r) for r in residuals]
+        sigma[left_out] = [robust_sigma(r) for r in residuals]
     return sigma
 
 

@@ -61,8 +61,8 @@ def calibrate(
         progress("measuring corners")
         if first.used[k]:
             R, t = first.rotations[k], first.translations[k]
-            better = measure_in_plane(image(photos[i]), pattern, seen[i], first.camera, R, t)
-            fine[i] = better if len(better.ids) >= 0.8 * len(seen[i].ids) else seen[i]
+            refined = measure_in_plane(image(photos[i]), pattern, seen[i], first.camera, R, t)
+            fine[i] = refined if len(refined.ids) >= 0.8 * len(seen[i].ids) else seen[i]
     views = [_view(pattern, fine[i]) for i in index]
     found = calibrate_board(views, size, terms)
     _check_plausible(found, pattern)
@@ -141,7 +141,7 @@ def _reasons(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
     for photo, s in zip(photos, seen, strict=True):
         if not len(s.ids):
             because.setdefault(rejection_reason(s, pattern), []).append(photo.path.name)
-    return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
+    return "".join(f". {', '.join(names)}: {reason}" for reason, names in because.items())
 
 
 def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:

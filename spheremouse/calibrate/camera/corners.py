@@ -114,11 +114,11 @@ def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
     uv = np.empty((len(start), 2))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     for w in np.unique(windows):
-        same = windows == w
-        corners = start[same].reshape(-1, 1, 2)
-        uv[same] = cv2.cornerSubPix(grey, corners, (int(w), int(w)), (-1, -1), criteria)[:, 0]
-    moved = np.linalg.norm(uv - start, axis=1)
-    return np.where((moved <= np.maximum(1.0, _MAX_MOTION * windows))[:, None], uv, np.nan)
+        same_window = windows == w
+        corners = start[same_window].reshape(-1, 1, 2)
+        uv[same_window] = cv2.cornerSubPix(grey, corners, (int(w), int(w)), (-1, -1), criteria)[:, 0]
+    distance = np.linalg.norm(uv - start, axis=1)
+    return np.where((distance <= np.maximum(1.0, _MAX_MOTION * windows))[:, None], uv, np.nan)
 
 
 # ---- in the board's plane ----
@@ -213,28 +213,30 @@ def _where_gradients_meet(
     """Corners in the plane, (n, 2) m; nan if they leave their window."""
     low, high = _boxes(start, reach, camera, R, t)
     low, high = np.floor(low).astype(int), np.ceil(high).astype(int) + 1
-    u, v, of = [], [], []
+    u, v, owner = [], [], []
     for i, ((u0, v0), (u1, v1)) in enumerate(zip(low, high, strict=True)):
-        here = np.mgrid[max(v0, 0) : min(v1, grey.shape[0]), max(u0, 0) : min(u1, grey.shape[1])].reshape(2, -1)
-        v.append(here[0])
-        u.append(here[1])
-        of.append(np.full(here.shape[1], i))
-    u, v, of = np.concatenate(u), np.concatenate(v), np.concatenate(of)
+        pixels = np.mgrid[max(v0, 0) : min(v1, grey.shape[0]), max(u0, 0) : min(u1, grey.shape[1])].reshape(2, -1)
+        v.append(pixels[0])
+        u.append(pixels[1])
+        owner.append(np.full(pixels.shape[1], i))
+    u, v, owner = np.concatenate(u), np.concatenate(v), np.concatenate(owner)
     place, slope = _on_plane(np.stack([u, v], axis=1).astype(float), camera, R, t)
-    near = np.abs(place - start[of]).max(axis=1) < 1.5 * reach[of]  # nan: False
+    near = np.abs(place - start[owner]).max(axis=1) < 1.5 * reach[owner]  # nan: False
     gu, gv = (g[v, u].astype(float) for g in _gradient(grey))
-    u, v, of, place, slope, gu, gv = u[near], v[near], of[near], place[near], slope[near], gu[near], gv[near]
+    u, v, owner, place, slope, gu, gv = u[near], v[near], owner[near], place[near], slope[near], gu[near], gv[near]
     det = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
     gx = (gu * slope[:, 1, 1] - gv * slope[:, 1, 0]) / det  # gradient by the plane's coordinates
     gy = (gv * slope[:, 0, 0] - gu * slope[:, 0, 1]) / det
     xx, xy, yy = gx * gx, gx * gy, gy * gy
     corner = start.copy()
-    pixel = np.sqrt(np.bincount(of, np.abs(det), len(start)) / np.maximum(np.bincount(of, minlength=len(start)), 1))
+    pixel = np.sqrt(
+        np.bincount(owner, np.abs(det), len(start)) / np.maximum(np.bincount(owner, minlength=len(start)), 1)
+    )
     for _ in range(_MAX_ITERATIONS):
-        d = place - corner[of]
-        weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach[of] ** 2) * (np.abs(d).max(axis=1) < reach[of])
+        d = place - corner[owner]
+        weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach[owner] ** 2) * (np.abs(d).max(axis=1) < reach[owner])
         sums = [
-            np.bincount(of, weight * value, len(start))
+            np.bincount(owner, weight * value, len(start))
             for value in (xx, xy, yy, xx * d[:, 0] + xy * d[:, 1], xy * d[:, 0] + yy * d[:, 1])
         ]
         A, B, C, e, f = sums
@@ -242,8 +244,8 @@ def _where_gradients_meet(
             step = np.stack([C * e - B * f, A * f - B * e], axis=1) / (A * C - B * B)[:, None]
         corner = corner + step
         corner[np.abs(corner - start).max(axis=1) > 0.5 * reach] = np.nan
-        moved = np.abs(step).max(axis=1) / pixel  # m over m in a pixel
-        if np.all(~(moved > _CONVERGENCE_PX)):
+        step_px = np.abs(step).max(axis=1) / pixel  # m over m in a pixel
+        if np.all(~(step_px > _CONVERGENCE_PX)):
             break
     return corner
 

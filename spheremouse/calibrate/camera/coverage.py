@@ -80,8 +80,8 @@ def missing_leans(found: Coverage) -> list[str]:
 
 def missing(found: Coverage) -> list[str]:
     """List instructions for the missing views; left and right as the camera sees them."""
-    again = {way: ", once more" if n else "" for way, n in zip(LEANS, found.leans, strict=True)}
-    words = [f"tilt the board by 20° to 45°, so that it faces {way}{again[way]}" for way in missing_leans(found)]
+    suffix = {way: ", once more" if n else "" for way, n in zip(LEANS, found.leans, strict=True)}
+    words = [f"tilt the board by 20° to 45°, so that it faces {way}{suffix[way]}" for way in missing_leans(found)]
     return words + [f"hold the board {place} of the picture" for place in missing_regions(found)]
 
 
@@ -103,11 +103,11 @@ def gain(found: Coverage, size: tuple[int, int], uv: Array, R: Array, before: Se
     fresh = regions_of(uv, size) & (found.regions == 0)
     if fresh.any():
         return ", ".join(_places(fresh))
-    apart = all(_apart(uv, other) > _MIN_DIFFERENCE * float(np.hypot(*size)) for other in before)
-    few = leans_of(R) & (found.leans < (_VIEWS_PER_LEAN if apart else 1))  # a repeated view is no check
-    if few.any():
-        return "facing " + " and ".join(way for way, new in zip(LEANS, few, strict=True) if new)
-    return "another view" if apart and found.views < VIEWS else None
+    differs = all(_apart(uv, other) > _MIN_DIFFERENCE * float(np.hypot(*size)) for other in before)
+    new_leans = leans_of(R) & (found.leans < (_VIEWS_PER_LEAN if differs else 1))  # a repeated view is no check
+    if new_leans.any():
+        return "facing " + " and ".join(way for way, new in zip(LEANS, new_leans, strict=True) if new)
+    return "another view" if differs and found.views < VIEWS else None
 
 
 def _apart(a: Array, b: Array) -> float:

@@ -180,10 +180,10 @@ def adjust_bundle(
         groups = [~is_disc[used], is_disc[used]]
         now = variance_factors(residual, number, groups, factors)
         spread = now / factors
-        off = outlier_statistic(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
+        statistic = outlier_statistic(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
         worst = np.zeros(len(kept))
-        np.maximum.at(worst, index, off)
-        false = (off > _OUTLIER_CHI2) & (off == worst[index])
+        np.maximum.at(worst, index, statistic)
+        false = (statistic > _OUTLIER_CHI2) & (statistic == worst[index])
         if np.any(false):
             used[np.flatnonzero(used)[false]] = False
         elif np.any(np.abs(np.log(spread)) > 0.02):
@@ -322,8 +322,8 @@ def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
 
 def image_rms(problem: Problem, solution: Solution) -> float:
     """Return the RMS per axis of the image points, px."""
-    off = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
-    return float(np.sqrt(np.mean(off**2)))
+    residual = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
+    return float(np.sqrt(np.mean(residual**2)))
 
 
 def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:

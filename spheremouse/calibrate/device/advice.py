@@ -122,10 +122,11 @@ def _further_work(c: DeviceCalibration, poor: bool) -> Iterator[Advice]:
 
 
 def _findings(c: DeviceCalibration, names: Sequence[str]) -> Iterator[Advice]:
-    for k, why in c.skipped:
-        yield Advice("warning", f"{names[k]} was left out: {why}.")
-    for k, why in c.doubtful:
-        yield Advice("warning", f"{names[k]}: only its targets were used, not its discs: {why}.")
+    """Yield the faults that the calibration found in photos, scale, scatter and the ball's shape."""
+    for k, reason in c.skipped:
+        yield Advice("warning", f"{names[k]} was left out: {reason}.")
+    for k, reason in c.doubtful:
+        yield Advice("warning", f"{names[k]}: only its targets were used, not its discs: {reason}.")
     yield from _scale_findings(c)
     yield from _scatter_findings(c, names)
     if c.out_of_round > 0.0:
@@ -155,10 +156,10 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
         )
         yield Advice("note", text)
         return
-    off = c.ring_scale - 1.0
-    if abs(off) > _MAX_RING_ERROR:
+    error = c.ring_scale - 1.0
+    if abs(error) > _MAX_RING_ERROR:
         text = (
-            f"The rings look {100.0 * abs(off):.0f} % {'larger' if off > 0 else 'smaller'} in the photos than "
+            f"The rings look {100.0 * abs(error):.0f} % {'larger' if error > 0 else 'smaller'} in the photos than "
             "in device.yaml: `target_radii` or the distances are wrong (mm for cm? diameter for radius? the "
             "printer's scale?). The result rests on the distances."
         )

@@ -180,10 +180,10 @@ def eccentricity_slopes(problem: Problem, block: Block) -> Array:
     places = (cam + step[..., :3] * cam[:, 2:]).reshape(-1, 3)
     normals = (normal + step[..., 3:]).reshape(-1, 3)
     try:
-        off = (
+        offset = (
             project_rings(places, normals, problem.device.target_radii, block.camera) - project(places, block.camera)[0]
         )
-        ahead, behind = off.reshape(2, 6, -1, 2)
+        ahead, behind = offset.reshape(2, 6, -1, 2)
         depth = np.concatenate([np.tile(cam[:, 2:], (1, 3)), np.ones((len(cam), 3))], axis=1)
         slopes[ring] = (ahead - behind).transpose(1, 2, 0) / (2e-4 * depth[:, None])
     except np.linalg.LinAlgError:
@@ -291,5 +291,5 @@ def _prior(
     size = np.sqrt(np.diag(prior.covariance))[known]
     value, vector = np.linalg.eigh(prior.covariance[np.ix_(known, known)] / np.outer(size, size))
     whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T / size
-    off = (interior_vector(camera) - interior_vector(prior))[known]
-    return (whiten @ off, *_rows(whiten[:, None], np.tile(known, (len(known), 1))))
+    deviation = (interior_vector(camera) - interior_vector(prior))[known]
+    return (whiten @ deviation, *_rows(whiten[:, None], np.tile(known, (len(known), 1))))

@@ -73,7 +73,7 @@ def calibrate_device(
     views = target_views(seen, device, camera, TARGET_SIGMA)
     block, views = first_block(views, device, camera, named)
     progress("looking for the ball", 0.45)
-    here = [(grey[k], seen[k]) for k in views.photos]
+    detections = [(grey[k], seen[k]) for k in views.photos]
     tolerance = _ray_tolerance(views, block, device, camera)
 
     def found(pictures: Sequence[tuple[Image, TargetDetections]]) -> tuple[BundleResult, Spots]:
@@ -89,7 +89,9 @@ def calibrate_device(
         return result, spots
 
     failed: list[CalibrationError] = []
-    for pictures in (here,) if discs.projection else (here, [(cv2.bitwise_not(g), s) for g, s in here]):
+    for pictures in (
+        (detections,) if discs.projection else (detections, [(cv2.bitwise_not(g), s) for g, s in detections])
+    ):
         try:
             result, spots = found(pictures)
             return replace(shift_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))

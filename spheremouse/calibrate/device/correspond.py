@@ -122,8 +122,8 @@ def number_discs(photo: NDArray[np.intp], directions: Array, angle: float, fewes
             break
         members = np.flatnonzero(cosine[int(np.argmax(support))] & free)
         middle = np.median(directions[members], axis=0)
-        off = np.linalg.norm(directions[members] - middle, axis=1)
-        taken = [m for m, o in zip(members, off, strict=True) if o == off[photo[members] == photo[m]].min()]
+        distance = np.linalg.norm(directions[members] - middle, axis=1)
+        taken = [m for m, o in zip(members, distance, strict=True) if o == distance[photo[members] == photo[m]].min()]
         number[taken] = disc
         free[members] = False
     return number
@@ -236,9 +236,9 @@ def _firmest(points: _Points) -> _Points:
 
 def has_wide_rays(poses: Sequence[Pose], points: Array) -> bool:
     """Return True if two photos see the middle of the points, (n, 3) m, from directions ten degrees apart."""
-    away = np.array([p.position for p in poses]) - points.mean(axis=0)
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
-    return bool(np.min(away @ away.T) < np.cos(MIN_RAY_ANGLE))
+    rays = np.array([p.position for p in poses]) - points.mean(axis=0)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return bool(np.min(rays @ rays.T) < np.cos(MIN_RAY_ANGLE))
 
 
 def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:
@@ -268,5 +268,5 @@ def _score(points: _Points, centre: Array, radius: float, tolerance: float) -> f
     inside = _inside(points, centre, radius, tolerance)
     if np.count_nonzero(inside) < 5 or np.linalg.norm(np.ptp(points.position[inside], axis=0)) < _MIN_EXTENT * radius:
         return 0.0
-    off = (np.linalg.norm(points.position[inside] - centre, axis=1) - radius) / tolerance
-    return float(np.sum(points.support[inside] * (1.0 - off**2)))
+    residual = (np.linalg.norm(points.position[inside] - centre, axis=1) - radius) / tolerance
+    return float(np.sum(points.support[inside] * (1.0 - residual**2)))

@@ -47,20 +47,20 @@ def target_views(
     skipped = []
     for k, found in enumerate(seen):
         codes = [c for c in found.codes if c in row]
-        twice = sorted({c for c in codes if codes.count(c) > 1})
-        here = []
+        repeated = sorted({c for c in codes if codes.count(c) > 1})
+        known_targets = []
         for code, centre, contour, radius in zip(found.codes, found.centre, found.contours, found.radius, strict=True):
-            if code in row and code not in twice:
+            if code in row and code not in repeated:
                 depth = _depth(centre, contour, radius, device, camera)
                 if np.isfinite(depth):
-                    here.append((row[code], centre, depth))
-        if len(here) < 3:
+                    known_targets.append((row[code], centre, depth))
+        if len(known_targets) < 3:
             missing = ", ".join(c for c in device.codes if c not in codes)
-            why = f"{len(here)} of {len(device.codes)} targets found, 3 are needed"
-            why += f"; {', '.join(twice)} seen twice: cover the copy" if twice else f"; missing: {missing}"
-            skipped.append((k, why))
+            reason = f"{len(known_targets)} of {len(device.codes)} targets found, 3 are needed"
+            reason += f"; {', '.join(repeated)} seen twice: cover the copy" if repeated else f"; missing: {missing}"
+            skipped.append((k, reason))
             continue
-        parts += [(len(photos), i, centre, depth) for i, centre, depth in here]
+        parts += [(len(photos), i, centre, depth) for i, centre, depth in known_targets]
         photos.append(k)
     n = len(parts)
     image = ImagePoints(
@@ -88,15 +88,19 @@ def first_block(
         block = _adjusted(views, device, camera)
         behind = [i for i, pose in enumerate(block.poses) if pose.position[2] < 0.0]
         if behind:
-            why = "its targets are seen from behind: the photo is mirrored, as some cameras save them; switch that off"
-            views = _without(views, behind[0], why)
+            reason = (
+                "its targets are seen from behind: the photo is mirrored, as some cameras save them; switch that off"
+            )
+            views = _without(views, behind[0], reason)
             continue
         strange = _strange(views, block, device, camera)
         if strange is None:
             return _scaled(views, block, device)
-        photo, off = strange
-        why = f"its targets do not fit the other photos ({off:.0f} px): another device, or a target was moved"
-        views = _without(views, photo, why)
+        photo, residual_px = strange
+        reason = (
+            f"its targets do not fit the other photos ({residual_px:.0f} px): another device, or a target was moved"
+        )
+        views = _without(views, photo, reason)
 
 
 def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> tuple[int, float] | None:
@@ -127,9 +131,9 @@ def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, Ta
         return block, views
     ratio = np.array([d.metres for d in device.distances]) / distances(device, block.points)
     scale = float(np.median(ratio))
-    off = np.abs(ratio / scale - 1.0)
-    worst = int(np.argmax(off))
-    if off[worst] > _MAX_DISTANCE_ERROR:
+    deviation = np.abs(ratio / scale - 1.0)
+    worst = int(np.argmax(deviation))
+    if deviation[worst] > _MAX_DISTANCE_ERROR:
         raise DistanceError(device, worst, device.distances[worst].metres / ratio[worst] * scale)
     poses = tuple(Pose(p.rotation, scale * p.position) for p in block.poses)
     views = replace(views, depth=scale * views.depth, ring_scale=scale)
@@ -149,6 +153,7 @@ def _depth(centre: Array, contour: Array, radius: float, device: Device, camera:
 
 
 def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
+    """Raise CalibrationError if fewer than two photos fit together, or a target is in fewer than two."""
     if len(views.photos) < 2:
         whys = [f"{names[k]}: {w}" for k, w in views.skipped]
         more = f"; and {len(whys) - _MAX_NAMED} more" if len(whys) > _MAX_NAMED else ""
@@ -171,6 +176,7 @@ def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
 
 
 def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -> Block:
+    """Return poses and targets: photos join the one with most targets, and an adjustment follows."""
     image = views.image
     xy, _ = unproject(image.centre, camera)
     cam = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * views.depth[:, :1]
@@ -238,8 +244,8 @@ def _rms(views: TargetViews, block: Block, device: Device, camera: InteriorOrien
     """RMS per axis of each photo's targets, px."""
     image, n = views.image, len(block.poses)
     problem = Problem(device, camera, image, not device.distances)
-    off = np.sum((predicted(block, image, problem)[0] - image.centre) ** 2, axis=1)
-    return np.sqrt(np.bincount(image.photo, off, minlength=n) / (2.0 * np.bincount(image.photo, minlength=n)))
+    squared = np.sum((predicted(block, image, problem)[0] - image.centre) ** 2, axis=1)
+    return np.sqrt(np.bincount(image.photo, squared, minlength=n) / (2.0 * np.bincount(image.photo, minlength=n)))
 
 
 def _without(views: TargetViews, photo: int, why: str) -> TargetViews:

@@ -99,6 +99,7 @@ def _steps(folder: Path, services: Sequence[Path]) -> Iterator[Step]:
 
 
 def _open(overtaken: bool) -> State:
+    """Return the state of a step that is not done."""
     return "not needed" if overtaken else "next"
 
 
@@ -134,8 +135,8 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, camera: Result | N
     left_out = camera.hashes("left_out") if camera else frozenset()
     good = sum(p.sha256 not in left_out for p in board.photos)
     if n and overtaken and good < BOARD_ENOUGH:
-        few = "" if good == n else f", {good} of use"
-        return Step(name, "too few", f"{board.found}{few}; {_BOARD_NUMBER} make a lens reliable: {take}")
+        usable = "" if good == n else f", {good} of use"
+        return Step(name, "too few", f"{board.found}{usable}; {_BOARD_NUMBER} make a lens reliable: {take}")
     if n >= BOARD_ENOUGH:
         return Step(name, "done", board.found)
     if n < 3:
@@ -150,16 +151,16 @@ def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: 
         todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
         more = ((_MORE, cabinet.photos_command(folder, "camera")),) if board.photos else ()
         return Step(CAMERA_FILE, _open(overtaken), "not there yet", todo, cabinet.camera_command(folder), more)
-    again = cabinet.camera_command(folder, options_from_provenance(camera.provenance), again=True)
-    return _made_step(camera, camera.changes(board.photos), "camera", again)
+    command = cabinet.camera_command(folder, options_from_provenance(camera.provenance), again=True)
+    return _made_step(camera, camera.changes(board.photos), "camera", command)
 
 
-def _made_step(made: Result, changes: str, what: str, again: str, remark: str = "") -> Step:
+def _made_step(made: Result, changes: str, what: str, command: str, remark: str = "") -> Step:
     """The step of a file that a calibration wrote, by the changes of its sources."""
     if made.problem:
-        return Step(made.path.name, "next", made.found, (*made.problem, "Correct the file, or make it again:"), again)
+        return Step(made.path.name, "next", made.found, (*made.problem, "Correct the file, or make it again:"), command)
     if changes:
-        return Step(made.path.name, "next", changes, (f"Calibrate the {what} again:",), again)
+        return Step(made.path.name, "next", changes, (f"Calibrate the {what} again:",), command)
     return Step(made.path.name, "done", made.found + remark)
 
 
@@ -209,11 +210,11 @@ def _rig_step(folder: Path, rig: Result | None, photos: Photos) -> Step:
         made_from = rig.hashes(part)
         if made_from and path.is_file() and sha256(path) not in made_from:
             changes.append(f"{path.name} has changed")
-    again = (cabinet.device_command if photos.photos else cabinet.rolling_command)(folder, again=True)
+    command = (cabinet.device_command if photos.photos else cabinet.rolling_command)(folder, again=True)
     warnings = rig.provenance.get("warnings")
     n = len(warnings) if isinstance(warnings, tuple) else 0
     remark = f"; {count(n, 'warning')} in its report" if n else ""
-    return _made_step(rig, "; ".join(filter(None, changes)), "device", again, remark)
+    return _made_step(rig, "; ".join(filter(None, changes)), "device", command, remark)
 
 
 def _axes_step(folder: Path) -> Step:

@@ -77,19 +77,21 @@ class Result:
 
     def changes(self, photos: Sequence[Photo]) -> str:
         """Describe how photos differ from the sources of this result; empty if they are the same, or all gone."""
-        used, here = self.hashes("photos"), {p.sha256 for p in photos}
-        new = len(here - used - self.hashes("left_out")) if used else 0
-        gone = len(used - here) if used & here else 0
+        used, present = self.hashes("photos"), {p.sha256 for p in photos}
+        new = len(present - used - self.hashes("left_out")) if used else 0
+        removed = len(used - present) if used & present else 0
         words = [f"{count(new, 'photo')} came later"] if new else []
-        words += [f"{count(gone, 'photo')} it was made from {'is' if gone == 1 else 'are'} gone"] if gone else []
+        words += (
+            [f"{count(removed, 'photo')} it was made from {'is' if removed == 1 else 'are'} gone"] if removed else []
+        )
         return ", ".join(words)
 
 
 def read_photo_folder(folder: Path, camera_path: Path | None = None) -> Photos:
     """Read the photos in a folder, and check that they have the mode of a camera file."""
     try:
-        there = any(p.is_file() and not p.name.startswith(".") for p in folder.iterdir())
-        photos = read_photos([folder], note=lambda _: None) if there else []
+        has_files = any(p.is_file() and not p.name.startswith(".") for p in folder.iterdir())
+        photos = read_photos([folder], note=lambda _: None) if has_files else []
         if photos and camera_path is not None:
             check_size(photos, load_camera(camera_path), camera_path)
     except OSError:
@@ -113,6 +115,7 @@ T = TypeVar("T", InteriorOrientation, Rig)
 
 
 def _result(path: Path, load: Callable[[Path], T], camera_of: Callable[[T], InteriorOrientation]) -> Result | None:
+    """Return a calibration's file with its content in words, or with its problem; None if it is missing."""
     if not path.exists():
         return None
     try:

@@ -99,15 +99,15 @@ def _halves(layout: Layout) -> "Figure":
         figure.add_axes(axes)
         axes.set_theta_direction(1 if upper else -1)
         axes.set_thetagrids(np.degrees(spokes / mm), names if upper else lower_names, fontsize=7.0)
-        here = (z >= 0.0) == upper
+        in_half = (z >= 0.0) == upper
         shown = rings[(rings < quarter) == upper]
-        free = _free_azimuth(azimuth[here], np.arange(0.5 * step, 2.0 * np.pi * mm, step) / mm)
+        free = _free_azimuth(azimuth[in_half], np.arange(0.5 * step, 2.0 * np.pi * mm, step) / mm)
         radii = shown if upper else 2.0 * quarter - shown
         axes.set_rgrids(radii, [f"{r:.0f}" for r in shown], angle=np.degrees(free), fontsize=7.0, bbox=box)
-        distance = polar[here] if upper else 2.0 * quarter - polar[here]
-        axes.plot(azimuth[here], distance, "o", color="black", ms=diameter, mew=0.0)
+        distance = polar[in_half] if upper else 2.0 * quarter - polar[in_half]
+        axes.plot(azimuth[in_half], distance, "o", color="black", ms=diameter, mew=0.0)
         axes.set_rmax(quarter)
-        for k, a, r in zip(np.flatnonzero(here), azimuth[here], distance, strict=True):
+        for k, a, r in zip(np.flatnonzero(in_half), azimuth[in_half], distance, strict=True):
             look = {"fontsize": 11, "fontweight": "bold", "bbox": box, "textcoords": "offset points"}
             name = f"{k + 1} = P" if polar[k] == 0.0 else str(k + 1)
             axes.annotate(name, (float(a), float(r)), (0.5 * diameter + 2.0, -4.0), **look)

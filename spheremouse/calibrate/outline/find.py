@@ -201,9 +201,9 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
             raise _no_ball()
         outline = _robust(rays_of(edges, camera), outline)
         pixels = outline.pixels(camera)
-    off = residuals(outline, rays_of(edges, camera)) * f
-    scatter = float(mad_sigma(off))
-    fits = np.abs(off) < max(1.5, 3.0 * scatter)
+    residual = residuals(outline, rays_of(edges, camera)) * f
+    scatter = float(mad_sigma(residual))
+    fits = np.abs(residual) < max(1.5, 3.0 * scatter)
     inside = float(np.mean(np.all((pixels >= 0.0) & (pixels < (camera.width, camera.height)), axis=1)))
     support = float(np.count_nonzero(fits)) / len(pixels)
     if inside < _MIN_IN_PICTURE:
@@ -218,8 +218,8 @@ def _refined(change: Change, outline: Outline, camera: InteriorOrientation, leve
     steps = _steps(change.mean, outline, edges, camera)
     if len(steps) > _MIN_STEP_SHARE * len(edges):
         outline = _robust(rays_of(steps, camera), outline)
-        off = residuals(outline, rays_of(steps, camera)) * f
-        scatter, edges, floor_px, shared = float(mad_sigma(off)), steps, _STEP_FLOOR_PX, _STEP_SHARED
+        residual = residuals(outline, rays_of(steps, camera)) * f
+        scatter, edges, floor_px, shared = float(mad_sigma(residual)), steps, _STEP_FLOOR_PX, _STEP_SHARED
     floor = np.hypot(floor_px, np.multiply(shared, scatter)) / f
     covariance = outline.covariance + np.diag(np.square(floor[[0, 0, 1]]))
     return Outline(outline.direction, outline.angle, covariance), edges

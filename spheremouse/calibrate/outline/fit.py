@@ -69,14 +69,14 @@ def fit_outline(rays: Array, sigma: float, start: Outline | None = None, robust:
     """
     outline = start or _first(rays)
     for _ in range(_MAX_ROUNDS):
-        off, J = residuals(outline, rays), _jacobian(outline, rays)
-        limit = _TUKEY_SIGMAS * max(float(mad_sigma(off)), 1e-9)
-        weight = np.clip(1.0 - (off / limit) ** 2, 0.0, None) ** 2 if robust else np.ones(len(rays))
+        residual, J = residuals(outline, rays), _jacobian(outline, rays)
+        limit = _TUKEY_SIGMAS * max(float(mad_sigma(residual)), 1e-9)
+        weight = np.clip(1.0 - (residual / limit) ** 2, 0.0, None) ** 2 if robust else np.ones(len(rays))
         Q = np.asarray(np.linalg.inv((J * weight[:, None]).T @ J), float)
-        step = -Q @ (J.T @ (weight * off))
+        step = -Q @ (J.T @ (weight * residual))
         u = outline.direction + tangent_basis(outline.direction) @ step[:2]
         freedom = max(float(weight.sum()) - 3.0, 1.0)
-        scatter = float(weight @ off**2) / freedom
+        scatter = float(weight @ residual**2) / freedom
         variance = scatter if robust else sigma**2 if len(rays) == 3 else max(sigma**2, scatter)
         outline = Outline(np.asarray(u / np.linalg.norm(u), float), outline.angle + float(step[2]), variance * Q)
         if not (0.0 < outline.angle < 1.5 and outline.direction[2] > 1.01 * np.sin(outline.angle)):
@@ -87,6 +87,7 @@ def fit_outline(rays: Array, sigma: float, start: Outline | None = None, robust:
 
 
 def _first(rays: Array) -> Outline:
+    """Return the circular cone through rays, (n, 3), by linear least squares. CalibrationError if there is none."""
     n, _, rank, _ = np.linalg.lstsq(rays, np.ones(len(rays)), rcond=1e-9)
     size = float(np.linalg.norm(n))
     if rank < 3 or not size > 1.0:

@@ -106,12 +106,12 @@ class DeviceSelector(Selector[TargetDetections]):
 
         If `strict`, raises CalibrationError if the last picture has no place.
         """
-        twice = [c for c in self._device.codes if sum(c in found.codes for found in seen) >= 2]
-        if len(seen) < 2 or len(twice) < _MIN_TARGETS:
+        repeated_codes = [c for c in self._device.codes if sum(c in found.codes for found in seen) >= 2]
+        if len(seen) < 2 or len(repeated_codes) < _MIN_TARGETS:
             if strict:
                 raise CalibrationError("it shares too few targets with the photos there are: three must be in both")
             return None
-        device = _only(self._device, twice)
+        device = _only(self._device, repeated_codes)
         try:
             views = target_views(seen, device, self._camera, TARGET_SIGMA)
             block, views = first_block(views, device, self._camera, [f"photo {k + 1}" for k in range(len(seen))])

@@ -110,8 +110,8 @@ class Selector(ABC, Generic[S]):
     def _motion(self, keys: Sequence[int | str], uv: Array) -> float:
         """Median motion of named points since the last frame, px; inf if too few points are in both."""
         before, self._before = self._before, dict(zip(keys, uv, strict=True))
-        moved = [float(np.linalg.norm(at - before[key])) for key, at in self._before.items() if key in before]
-        return float(np.median(moved)) if len(moved) >= self._min_points else float("inf")
+        distances = [float(np.linalg.norm(at - before[key])) for key, at in self._before.items() if key in before]
+        return float(np.median(distances)) if len(distances) >= self._min_points else float("inf")
 
     def _blur(self, picture: Image, points: Array) -> str:
         """Describe a blur around points (n, 2) px that is too large beside that of the sharpest frame."""

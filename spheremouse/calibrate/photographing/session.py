@@ -173,6 +173,7 @@ def _marked(picture: Image, points: Array, taken: bool) -> Image:
 
 
 def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, screen: Screen) -> Selector:
+    """Return a selector that knows the photos in the folder. CalibrationError if they have another size."""
     size = picture.shape[1], picture.shape[0]
     selector = begin(size)
     if not has_photos(folder):

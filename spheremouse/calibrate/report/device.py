@@ -157,6 +157,7 @@ def write_device_report(
 
 
 def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
+    """Return the main figures of the report: name, value, remark."""
     unit, digits = ("R/1000", 3) if c.scale_free else ("mm", 2)
 
     def show(value: float | np.floating) -> str:

@@ -99,6 +99,7 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
 def _result(
     at: Rolling, s: Sightings, rejected: int, eliminated: Eliminated, camera: InteriorOrientation
 ) -> RollingAdjustment:
+    """Return the adjusted ball with its covariance: of image noise, enlarged for correlated errors, and of the lens."""
     equations = eliminated.equations
     Q, J = eliminated.cofactors, eliminated.reduced()
     number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))

@@ -199,13 +199,13 @@ def axes_from_gestures(rolling: Rolling, forward: tuple[float, float], right: tu
     for k, (name, span) in enumerate((("forward", forward), ("right", right))):
         axis[k], spread[k] = _gesture_axis(rolling, span, name)
     x, z = -axis[0], -axis[1]
-    off = np.rad2deg(np.arcsin(np.clip(x @ z, -1.0, 1.0)))
-    if abs(off) > _MAX_OFF_SQUARE:
+    tilt = np.rad2deg(np.arcsin(np.clip(x @ z, -1.0, 1.0)))
+    if abs(tilt) > _MAX_OFF_SQUARE:
         raise CalibrationError(
-            f"`forward` and `right` are {90.0 - abs(off):.0f}° apart and not 90°: roll the ball straight away from "
+            f"`forward` and `right` are {90.0 - abs(tilt):.0f}° apart and not 90°: roll the ball straight away from "
             "the camera, then straight to the right, and look up the times again"
         )
-    sigma = np.maximum(np.hypot(spread, 0.5 * np.deg2rad(abs(off))), _GESTURE_SIGMA)
+    sigma = np.maximum(np.hypot(spread, 0.5 * np.deg2rad(abs(tilt))), _GESTURE_SIGMA)
     R = align(np.stack([x, z]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 1.0 / sigma**2)
     # an axis has no information on rotations about itself
     N = np.diag([0.0, 1.0, 1.0]) / sigma[0] ** 2 + np.diag([1.0, 1.0, 0.0]) / sigma[1] ** 2
@@ -254,12 +254,12 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     """
     ids, uv, size = _seen(sightings, device)
     n, at = len(ids), {i: k for k, i in enumerate(ids)}
-    alike = np.stack([np.full(n, _SIZE_SIGMA[0]), _RADIUS_SIGMA[0] / size], axis=1)
-    alone = np.hypot(_SIZE_SIGMA[1], _RADIUS_SIGMA[1] / size)
+    common_sigma = np.stack([np.full(n, _SIZE_SIGMA[0]), _RADIUS_SIGMA[0] / size], axis=1)
+    size_sigma = np.hypot(_SIZE_SIGMA[1], _RADIUS_SIGMA[1] / size)
 
     def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
         """Places, (n, 3), for normalised errors x: two of all sizes, one of each size, two of each centre."""
-        sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
+        sizes = size * np.exp(-(common_sigma @ x[:2]) - size_sigma * x[2 : 2 + n])
         return _by_size(uv + _CENTRE_SIGMA * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
 
     taped = [d for d in device.distances if d.start in at and d.end in at]
@@ -276,8 +276,8 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     R = axes_of(places, at, device, np.zeros(3))
 
     def places_and_axes(y: Array, lens: InteriorOrientation = camera) -> Array:
-        there = moved(y, lens)
-        return np.concatenate([there.ravel(), log(axes_of(there, at, device, np.zeros(3)) @ R.T)])
+        points = moved(y, lens)
+        return np.concatenate([points.ravel(), log(axes_of(points, at, device, np.zeros(3)) @ R.T)])
 
     by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
     own, by_lens = _propagate_errors(by_x, seen_through, residuals(x), places, taped, at)

@@ -109,7 +109,7 @@ def solve(
     for _ in range(3):
         before = rolled.rolling
         try:
-            rolled, tracked, better = adjusted(rig, before, seconds=None)
+            rolled, tracked, refined_rig = adjusted(rig, before, seconds=None)
         except CalibrationError as e:
             if given is None:
                 raise
@@ -117,7 +117,7 @@ def solve(
                 f"{e}. If it did turn: are the lengths right? By them a disc's radius is {given:.3g} of the ball's; "
                 "neither may be a diameter"
             ) from None
-        rig = better if given is None else rig
+        rig = refined_rig if given is None else rig
         change = abs(np.log(rolled.rolling.ratio / before.ratio)) + np.linalg.norm(
             rolled.rolling.direction - before.direction
         )
@@ -187,8 +187,8 @@ def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation)
     if places is None or len(places) < 12:
         return
     for stamp, image in later:
-        there, ok, _ = cv2.calcOpticalFlowPyrLK(reference, image, places, np.zeros_like(places))
-        way = (there - places)[ok.ravel() > 0].reshape(-1, 2)
+        tracked, ok, _ = cv2.calcOpticalFlowPyrLK(reference, image, places, np.zeros_like(places))
+        way = (tracked - places)[ok.ravel() > 0].reshape(-1, 2)
         if len(way) < 12:
             continue
         middle = np.median(way, axis=0)

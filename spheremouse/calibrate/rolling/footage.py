@@ -51,8 +51,8 @@ class FrameBuffer:
 
     def frames(self, seconds: float | None) -> Iterator[Frame]:
         """Yield the frames of the first seconds, or all."""
-        every = (
+        decoded = (
             Frame(np.asarray(cv2.imdecode(np.frombuffer(d, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8), stamp, number)
             for d, stamp, number in self.stored
         )
-        yield from section(every, 0.0, math.inf if seconds is None else seconds)
+        yield from section(decoded, 0.0, math.inf if seconds is None else seconds)

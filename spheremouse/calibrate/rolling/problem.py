@@ -81,17 +81,17 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)
     rate = angular_rates(at)[s.frame]
-    late = exp(rate * (at.readout * row)[:, None])
-    d = np.einsum("nij,njk,nk->ni", late, at.attitude[s.frame], at.discs[s.disc])
+    row_rotation = exp(rate * (at.readout * row)[:, None])
+    d = np.einsum("nij,njk,nk->ni", row_rotation, at.attitude[s.frame], at.discs[s.disc])
     points = at.ratio * at.direction + d
     uv, by_point = project(points, camera)
     W = whitening(s.covariance)
     residual = np.einsum("nij,nj->ni", W, s.centre - uv)
     A = W @ by_point
     basis = tangent_basis(at.discs)[s.disc]
-    by_disc = A @ late @ at.attitude[s.frame] @ basis
-    turned = np.einsum("nij,nj->ni", late.transpose(0, 2, 1), d)  # at the frame's stamp
-    by_turn = A @ late @ -hat(turned)
+    by_disc = A @ row_rotation @ at.attitude[s.frame] @ basis
+    turned = np.einsum("nij,nj->ni", row_rotation.transpose(0, 2, 1), d)  # at the frame's stamp
+    by_turn = A @ row_rotation @ -hat(turned)
     by_global = np.concatenate(
         [
             at.ratio * A @ tangent_basis(at.direction),

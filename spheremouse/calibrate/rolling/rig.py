@@ -79,6 +79,7 @@ class AxesFrom:
         return with_direction(axes, rolled), source
 
     def _found(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
+        """Return the axes of `obj` and their source: gestures, or ring targets. CalibrationError for grey pictures."""
         if self.gestures is not None:
             assert views.first is not None
             begin = views.first

@@ -139,8 +139,8 @@ def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, f
     xx, xy, yy = (m[k] / area for k in ("mu20", "mu11", "mu02"))
     root = np.hypot(0.5 * (xx - yy), xy)
     minor, major = np.sqrt(max(0.5 * (xx + yy) - root, 1e-6)), np.sqrt(0.5 * (xx + yy) + root)
-    off = abs(area / (4.0 * np.pi * minor * major) - 1.0)
-    if minor < _MIN_AXIS_RATIO * major or off > _MAX_AREA_ERROR + 1.0 / np.sqrt(area):
+    misfit = abs(area / (4.0 * np.pi * minor * major) - 1.0)
+    if minor < _MIN_AXIS_RATIO * major or misfit > _MAX_AREA_ERROR + 1.0 / np.sqrt(area):
         return None
     return x0 + m["m10"] / area, y0 + m["m01"] / area, float(area)
 
@@ -254,14 +254,14 @@ def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
     most = max((int(np.isfinite(at[g, :, 0] + at[f, :, 0]).sum()) for _, f, g in chosen), default=0)
     before, after = np.zeros((len(chosen), most, 3)), np.zeros((len(chosen), most, 3))
     before[..., 2] = after[..., 2] = 1.0
-    there = np.zeros((len(chosen), most), dtype=bool)
+    valid = np.zeros((len(chosen), most), dtype=bool)
     path = np.zeros((len(chosen), most), dtype=np.intp)
     for k, (_, f, g) in enumerate(chosen):
-        both = np.flatnonzero(np.isfinite(at[g, :, 0] + at[f, :, 0]))
-        before[k, : len(both)], after[k, : len(both)] = _rays(at[f, both], camera), _rays(at[g, both], camera)
-        there[k, : len(both)], path[k, : len(both)] = True, both
-    there &= np.isfinite(before[..., 0] + after[..., 0])
-    return _Pairs(np.nan_to_num(before), np.nan_to_num(after), there, path)
+        common = np.flatnonzero(np.isfinite(at[g, :, 0] + at[f, :, 0]))
+        before[k, : len(common)], after[k, : len(common)] = _rays(at[f, common], camera), _rays(at[g, common], camera)
+        valid[k, : len(common)], path[k, : len(common)] = True, common
+    valid &= np.isfinite(before[..., 0] + after[..., 0])
+    return _Pairs(np.nan_to_num(before), np.nan_to_num(after), valid, path)
 
 
 def _rays(uv: Array, camera: InteriorOrientation) -> Array:
@@ -333,13 +333,13 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
     grid = np.array(
         [[middle[0] + a * half[0], middle[1] + b * half[1], s] for s in sizes for a in nodes for b in nodes]
     )
-    few = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
+    subset = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
     cost = np.concatenate(
-        [_cost(g, few, camera.fx, 4.0 * _RESIDUAL_SCALE_PX) for g in np.array_split(grid, len(grid) // 100 + 1)]
+        [_cost(g, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX) for g in np.array_split(grid, len(grid) // 100 + 1)]
     )
     starts = grid[np.argsort(cost)[:_MAX_NODES]]
     starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), np.inf)[:_MAX_STARTS]]
-    near = [_refined(start, few, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
+    near = [_refined(start, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
     best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _RESIDUAL_SCALE_PX)))]
     for scale, reach in ((_RESIDUAL_SCALE_PX, 0.02), (0.3 * _RESIDUAL_SCALE_PX, 0.004)):
         best = _refined(best, pairs, camera.fx, scale, reach * half.max())

@@ -184,13 +184,13 @@ class Device:
         if not fitting:
             wish = "" if settings.format == "auto" else f" in {settings.format}"
             raise SourceError(f"{self.path}: has no {_format_size(size)}{wish}; {self.modes()}")
-        enough = settings.fps or _SUFFICIENT_RATE
-        name = max(fitting, key=lambda n: (n != "GREY", self._useful_rate(formats[n], size, enough)))
+        sufficient_rate = settings.fps or _SUFFICIENT_RATE
+        name = max(fitting, key=lambda n: (n != "GREY", self._useful_rate(formats[n], size, sufficient_rate)))
         return name, formats[name], size
 
-    def _useful_rate(self, fourcc: int, size: tuple[int, int], enough: float) -> float:
-        """Return the highest rate (Hz), at most `enough`; `enough` if the driver lists none."""
-        return min(enough, max(self._rates(fourcc, *size), default=enough))
+    def _useful_rate(self, fourcc: int, size: tuple[int, int], sufficient_rate: float) -> float:
+        """Return the highest rate (Hz), at most `sufficient_rate`, which it also returns if the driver lists none."""
+        return min(sufficient_rate, max(self._rates(fourcc, *size), default=sufficient_rate))
 
     def _formats(self) -> dict[PixelName, int]:
         """Return the supported formats of the device, with their codes."""
@@ -206,13 +206,13 @@ class Device:
     def _sizes(self, fourcc: int) -> Sizes:
         query = raw.v4l2_frmsizeenum()
         query.pixel_format = fourcc
-        some = []
+        sizes = []
         for item in iter_read(self.fd, IOC.ENUM_FRAMESIZES, query):
             if item.type != FrameSizeType.DISCRETE:
                 s = item.stepwise
                 return Sizes((), ((s.min_width, s.min_height), (s.max_width, s.max_height)))
-            some.append((item.discrete.width, item.discrete.height))
-        return Sizes(tuple(dict.fromkeys(some)))
+            sizes.append((item.discrete.width, item.discrete.height))
+        return Sizes(tuple(dict.fromkeys(sizes)))
 
     def _rates(self, fourcc: int, width: int, height: int) -> list[float]:
         """Return the listed rates (Hz) in ascending order; of a range its ends."""

@@ -139,10 +139,10 @@ def _on_monotonic_clock(raw: float, arrival: Arrival, ahead: float) -> tuple[flo
     """Return the driver's stamp (s) on the monotonic clock, or None; and the kind of problem, if any."""
     if not raw > 0.0 or not math.isfinite(raw):
         return None, "none"
-    late = _MAX_AGE if arrival.waited else _MAX_QUEUED_AGE
-    if -late <= raw - arrival.clock <= ahead:
+    max_age = _MAX_AGE if arrival.waited else _MAX_QUEUED_AGE
+    if -max_age <= raw - arrival.clock <= ahead:
         return raw, None
-    if -late <= raw - arrival.realtime <= ahead:
+    if -max_age <= raw - arrival.realtime <= ahead:
         return raw - arrival.realtime + arrival.clock, "realtime"
     return None, "foreign"
 
@@ -153,17 +153,18 @@ def _delay(state: Stamps, timing: Timing) -> float:
 
 
 def _note(trouble: str, state: Stamps, timing: Timing) -> str:
-    instead = f"the time of arrival less {1e3 * _delay(state, timing):.1f} ms is taken"
+    """Return the log line about a trouble with the driver's stamps, and the substitute."""
+    substitute = f"the time of arrival less {1e3 * _delay(state, timing):.1f} ms is taken"
     if state.delay is None:
-        instead += ", which leaves out the transfer"
+        substitute += ", which leaves out the transfer"
     lead = f"{1e3 * max(state.leads):.1f} ms"
     return {
-        "none": f"the driver gives no stamps; {instead}",
-        "foreign": f"the driver's stamps are of a clock that is not known; {instead}",
+        "none": f"the driver gives no stamps; {substitute}",
+        "foreign": f"the driver's stamps are of a clock that is not known; {substitute}",
         "realtime": "the driver's stamps are of the realtime clock; they are carried to the monotonic one",
         "ahead": f"the driver's stamps lie ahead of the clock, by {lead} so far; they are taken back by that",
-        "back": f"a stamp of the driver jumped back; {instead}",
-        "same": f"the driver gave two frames the same stamp; {instead}",
+        "back": f"a stamp of the driver jumped back; {substitute}",
+        "same": f"the driver gave two frames the same stamp; {substitute}",
     }[trouble]
 
 

@@ -37,5 +37,5 @@ def reset_camera(path: str, listed: Path = VIDEO_CLASS, bus: Path = Path("/dev/b
 
 def usb_device(entry: Path) -> Path | None:
     """Return the sysfs folder of the USB device that an entry of a class in sysfs belongs to; None if to none."""
-    here = entry.resolve()
-    return next((folder for folder in (here, *here.parents) if (folder / "devnum").is_file()), None)
+    device = entry.resolve()
+    return next((folder for folder in (device, *device.parents) if (folder / "devnum").is_file()), None)

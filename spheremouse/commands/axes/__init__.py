@@ -57,15 +57,15 @@ def axes(
         raise ConfigurationError(
             f"--profile {profile}: needs --config FILE, and a name of letters, digits, '_' and '-'"
         )
-    there = config is not None and config.exists()
+    config_exists = config is not None and config.exists()
     if config is not None and not dry:
         check_place(config)
-        if not os.access(config.parent, os.W_OK) or (there and not os.access(config, os.W_OK)):
+        if not os.access(config.parent, os.W_OK) or (config_exists and not os.access(config, os.W_OK)):
             raise ConfigurationError(f"{config}: this account may not write it; use sudo, or only look with --dry-run")
     options = {"tracker": tracker, "source": source, "output": "null"}
     options |= {"rig": rig, "camera_file": camera, "wand.balls": balls}
     given = settings_given(assignments, config, options)
-    overrides = CommandLineOverrides(config if there else None, given, no_map=True)
+    overrides = CommandLineOverrides(config if config_exists else None, given, no_map=True)
     plan = read_run_config(overrides)
     live = is_camera(plan.source)
     with nonblocking_stderr() if live else nullcontext(), SignalHandler() as stopping:
@@ -87,7 +87,7 @@ def axes(
     for key, value, _ in values:
         kept[tuple(key.split(".")) if profile is None else ("profiles", profile, key)] = value
     _keep(config, kept, dry)
-    if config is not None and not (dry or there or ("source",) in kept):
+    if config is not None and not (dry or config_exists or ("source",) in kept):
         print(f"it names no camera yet: add a line such as `source: {default_camera()}`")
 
 
@@ -101,22 +101,23 @@ def _options_to_keep(plan: "RunConfig", given: tuple[str, ...], config: Path) ->
     from spheremouse.files.yaml import read_document
     from spheremouse.session.cameras import is_camera
 
-    def beside(value: Any) -> Any:
+    def relative(value: Any) -> Any:
         if isinstance(value, tuple):
-            return tuple(map(beside, value))
+            return tuple(map(relative, value))
         return os.path.relpath(value, config.parent) if isinstance(value, str) and os.path.isabs(value) else value
 
     kept = assigned(plan.configuration, given)
-    kept |= {key: beside(kept[key]) for key in (("rig",), ("camera_file",), ("wand", "balls")) if key in kept}
+    kept |= {key: relative(kept[key]) for key in (("rig",), ("camera_file",), ("wand", "balls")) if key in kept}
     del kept["output",]
     kept.pop(("source",), None)
     if is_camera(plan.source):
         kept["source",] = plan.source
-    there = read_document(config).lines if config.exists() else {}
-    return {key: value for key, value in kept.items() if key not in there}
+    lines = read_document(config).lines if config.exists() else {}
+    return {key: value for key, value in kept.items() if key not in lines}
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
+    """Save the settings in the configuration file, or print why nothing is saved."""
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 

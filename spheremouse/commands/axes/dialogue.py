@@ -123,10 +123,11 @@ class Dialogue:
 
     def _ask(self) -> None:
         gesture = self._asked.gestures[len(self._made)]
-        asked = f"{gesture}, and let it rest" if self._live else f"in the recording: {gesture}"
-        print(f"{len(self._made) + 1} of 3: {asked}", flush=True)
+        prompt = f"{gesture}, and let it rest" if self._live else f"in the recording: {gesture}"
+        print(f"{len(self._made) + 1} of 3: {prompt}", flush=True)
 
     def _take(self, gesture: Any) -> None:
+        """Accept a gesture if it was straight, and prompt for the next one or evaluate all three."""
         if gesture is None or self.found is not None:
             return
         size = f"{np.degrees(gesture.size):.0f}°" if self._asked.unit == 1.0 else f"{100 * gesture.size:.0f} cm"
@@ -141,15 +142,16 @@ class Dialogue:
         self._understand()
 
     def _understand(self) -> None:
+        """Match the three gestures with the players' places. If none fits, begin again, or fail for a recording."""
         found = match_directions(self._made, self._asked.ways)
-        off = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.errors)
+        errors = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.errors)
         if found.fits:
             self.found = found
             saying = self._asked.choices[found.candidate][2]
-            print(f"understood: {saying} (the gestures are off by {off})", flush=True)
+            print(f"understood: {saying} (the gestures are off by {errors})", flush=True)
             self._stopping.asked = True
             return
-        what = f"not understood: {_MIRRORED} (off by {off}); {_ON_TOP}"
+        what = f"not understood: {_MIRRORED} (off by {errors}); {_ON_TOP}"
         if not self._live:
             raise CalibrationError(f"{what}; if you did this, the rig's Y points down: calibrate the device again")
         print(f"{what}; again, from the first one", flush=True)

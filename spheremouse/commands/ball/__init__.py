@@ -177,10 +177,12 @@ def check_points(points: "Array", outline: "Outline", camera: "InteriorOrientati
     from spheremouse.calibrate.outline.fit import rays_of, residuals
 
     px = math.sqrt(camera.fx * camera.fy)
-    off = np.abs(residuals(outline, rays_of(points, camera))) * px
-    k = int(np.argmax(off))
-    if off[k] > max(_MAX_OFF_PX, _MAX_OFF_RADII * outline.angle * px):
+    distance_px = np.abs(residuals(outline, rays_of(points, camera))) * px
+    k = int(np.argmax(distance_px))
+    if distance_px[k] > max(_MAX_OFF_PX, _MAX_OFF_RADII * outline.angle * px):
         x, y = points[k].tolist()
-        raise CalibrationError(f"the point {x:g},{y:g} is {off[k]:.1f} px off the outline of the others", "correct it")
+        raise CalibrationError(
+            f"the point {x:g},{y:g} is {distance_px[k]:.1f} px off the outline of the others", "correct it"
+        )
     if outline.sigma[1] > _MAX_RELATIVE_SIGMA * outline.angle:
         raise CalibrationError("the points fix the outline badly", "give more, all around it")

@@ -75,8 +75,8 @@ def camera(
     typer.echo(f"{out}: the camera; {page}: the report; {json_file}: its figures")
     if any(kind != "good" for kind, _ in advise(done)):
         given = [*pattern.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
-        again = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
-        typer.echo(f"with more photos, again: {again}")
+        repeat_command = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
+        typer.echo(f"with more photos, again: {repeat_command}")
     typer.echo(f"next: {_next_command(out)}")
 
 

@@ -104,24 +104,25 @@ def device(
     if any(a.kind != "good" for a in advice):
         files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
         files += [word for one in settings or () for word in ("--set", one)]
-        again = copyable("spheremouse", "calibrate", "device", *photos, *files, "--out", out, "--force")
-        typer.echo(f"with more photos, again: {again}")
+        repeat_command = copyable("spheremouse", "calibrate", "device", *photos, *files, "--out", out, "--force")
+        typer.echo(f"with more photos, again: {repeat_command}")
     typer.echo(f"next: {axes_command(out)}")
     typer.echo("      add --camera FILE if the camera runs in another mode than in the photos")
 
 
 def _check_inputs(device_file: Path, camera_file: Path) -> None:
-    for file, option, how in (
+    for file, option, hint in (
         (device_file, "--device", "`spheremouse calibrate init` writes one to fill in"),
         (camera_file, "--camera", "`spheremouse calibrate camera` makes it"),
     ):
         if not file.exists():
-            raise CalibrationError(f"{file}: no such file; give {option} FILE: {how}")
+            raise CalibrationError(f"{file}: no such file; give {option} FILE: {hint}")
 
 
 def _calibrated(
     photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
 ) -> "DeviceCalibration":
+    """Run the calibration with a progress bar; an error of a distance names the line of the device file."""
     from spheremouse.ball.device import DistanceError
     from spheremouse.calibrate.device.calibrate import calibrate_device
     from spheremouse.calibrate.photos import image

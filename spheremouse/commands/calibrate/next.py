@@ -51,6 +51,7 @@ def next_(
 
 
 def _show(steps: "Sequence[Step]") -> None:
+    """Print all steps as a table, and the instructions of the next one."""
     from rich.table import Table
     from rich.text import Text
 

@@ -90,9 +90,9 @@ def photos(
             _save_settings(own, source, configured, settings or ())
         if selector is not None and selector.enough:
             screen.ring()
-    again = photos_command(folder, what, () if source is None else ("--source", source))
+    repeat_command = photos_command(folder, what, () if source is None else ("--source", source))
     follows = (camera_command if what == "camera" else device_command)(folder)
-    for line in _conclusion(outcome, place, (follows, again), _MIN_PHOTOS[what], stopping.asked):
+    for line in _conclusion(outcome, place, (follows, repeat_command), _MIN_PHOTOS[what], stopping.asked):
         screen.conclude(line)
 
 
@@ -201,21 +201,21 @@ def _conclusion(
 
     The `commands` follow the photos, and take more of them.
     """
-    (follows, again), selector = commands, outcome.selector
+    (next_command, repeat_command), selector = commands, outcome.selector
     count = 0 if selector is None else selector.count
-    many = f"{count} photo{'' if count == 1 else 's'}"
+    photos = f"{count} photo{'' if count == 1 else 's'}"
     if selector is not None and selector.enough:
-        yield f"{place}: {many}, which is enough"
-        yield f"next: {follows}"
+        yield f"{place}: {photos}, which is enough"
+        yield f"next: {next_command}"
         return
     if outcome.failure is not None:
-        kept = f"{many} in {place} {'is' if count == 1 else 'are'} kept, and the same command goes on"
+        kept = f"{photos} in {place} {'is' if count == 1 else 'are'} kept, and the same command goes on"
         raise type(outcome.failure)(f"{outcome.failure}; {kept}")
     if count == 0 and not stopped:
-        why = f": most often {outcome.hindrance}" if outcome.hindrance else ""
-        raise CalibrationError(f"no photo in {outcome.frames} frames{why}")
+        reason = f": most often {outcome.hindrance}" if outcome.hindrance else ""
+        raise CalibrationError(f"no photo in {outcome.frames} frames{reason}")
     wanted = [] if selector is None else selector.wanted()
-    yield f"{place}: {many} so far{''.join(f'; {text}' for text in wanted[:3])}"
-    yield f"go on: {again}"
+    yield f"{place}: {photos} so far{''.join(f'; {text}' for text in wanted[:3])}"
+    yield f"go on: {repeat_command}"
     if count >= min_photos:
-        yield f"or go on with these: {follows}"
+        yield f"or go on with these: {next_command}"

@@ -101,6 +101,7 @@ def parse_radii(text: str) -> tuple[float, float, float]:
 
 
 def _holds(path: Path, data: bytes) -> bool:
+    """Return whether a file has exactly these bytes."""
     try:
         return read_bytes(path, len(data), "sheet") == data
     except OSError:  # larger, for instance

@@ -134,6 +134,7 @@ def _gestures(forward: str | None, right: str | None) -> tuple[tuple[float, floa
 
 
 def _span(text: str, name: str) -> tuple[float, float]:
+    """Return begin and end in s of a text such as 45:50. Raise ConfigurationError with the option's name."""
     first, colon, last = text.partition(":")
     try:
         span = float(first), float(last)

@@ -354,8 +354,8 @@ def _report(reply: dict[str, Any], words: str, place: str | None = None, *, as_j
         _print_json(reply)
         return
     where = reply.get(place) if place else None
-    told = reply.get("message")
-    typer.echo(printable(told or (f"{where}: {words}" if where else words)))
+    message = reply.get("message")
+    typer.echo(printable(message or (f"{where}: {words}" if where else words)))
 
 
 def _print_json(reply: dict[str, Any]) -> None:

@@ -34,8 +34,8 @@ def status_table(s: StatusReport) -> Panel:
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")
-    also = ", and paused" if s.paused and s.state != "paused" else ""
-    rows.add_row("state", Text.assemble(_state(s), f" for {span(s.since_s)}{also}"))
+    suffix = ", and paused" if s.paused and s.state != "paused" else ""
+    rows.add_row("state", Text.assemble(_state(s), f" for {span(s.since_s)}{suffix}"))
     if s.reason:
         rows.add_row("reason", _text(s.reason))
     rows.add_row("frames", _frames(s))

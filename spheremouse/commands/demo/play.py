@@ -162,6 +162,7 @@ def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
 
 
 def _summary(result: dict[str, Any], view: _View, truth: Truth, rig: Rig) -> Table:
+    """Return a table that compares the run with the truth."""
     tally, history = view.tally, view.history
     pose, median, lost = result["pose_error"], 1e3 * tally.times.quantile(0.5), result["lost_episodes"]
     position, angle = (float(np.linalg.norm(pose[key])) for key in ("position_mm", "angle_deg"))

@@ -120,6 +120,7 @@ def controls(c: Controls) -> list[Finding]:
 
 
 def _exposure(c: Controls) -> Finding:
+    """Return the finding on automatic exposure and gain."""
     if c.automatic_exposure is None and c.exposure_s is None:
         return unchecked("exposure", "this camera has no control for it, so it is unknown")
     now = "" if c.exposure_s is None else f", now {1e3 * c.exposure_s:g} ms"

@@ -33,14 +33,14 @@ def disk(settings: RecordSettings, state: Path | None = None) -> Finding:
     """Check the room for one recording. `state` is the folder of a service, which runs as another account."""
     of_service = state is not None and settings.folder is None
     folder = state / "recordings" if state is not None and of_service else recordings_folder(settings)
-    there = folder
-    while not os.path.exists(there):  # or is closed to this account
-        there = there.parent
-    free, needed = shutil.disk_usage(there).free / 1e6, settings.megabytes + settings.free_megabytes
+    existing = folder
+    while not os.path.exists(existing):  # or is closed to this account
+        existing = existing.parent
+    free, needed = shutil.disk_usage(existing).free / 1e6, settings.megabytes + settings.free_megabytes
     elsewhere = "set record.folder elsewhere"
     values = {"free_mb": round(free), "needed_mb": round(needed)}
-    if not of_service and not os.access(there, os.W_OK | os.X_OK):
-        text = f"{there} may not be written: no recordings"
+    if not of_service and not os.access(existing, os.W_OK | os.X_OK):
+        text = f"{existing} may not be written: no recordings"
         return warning("disk", text, elsewhere, **values)
     return classify(
         "disk",

@@ -113,6 +113,7 @@ class _Run:
         return self.node is not None and other is not None and self.node.resolve() == other.resolve()
 
     def _film(self, seconds: float) -> Iterator[Finding]:
+        """Film for some seconds, keep the footage, and yield the findings on source, rate, stamps and controls."""
         if self.of_wand and not self.live:
             self.brought = open_setup(self.plan)
         source = None if self.brought is None else self.brought.source
@@ -186,10 +187,10 @@ class _Run:
             yield from _guarded("blur", sight.blur, seen, exposure, settings.discs, seen.rig.exposure_s > 0.0)
 
 
-def _cameras(there: list[Node], live: bool) -> Finding:
-    if there:
-        listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in there)
-        return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in there])
+def _cameras(nodes_found: list[Node], live: bool) -> Finding:
+    if nodes_found:
+        listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in nodes_found)
+        return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in nodes_found])
     if not live:
         return ok("cameras", "no camera, and this source needs none")
     if not sys.platform.startswith("linux"):

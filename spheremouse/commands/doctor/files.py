@@ -101,10 +101,10 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     if rig is None or path is None:
         advice = "calibrate (`spheremouse calibrate next`), or give --rig FILE, or `rig:` in the configuration"
         return unchecked("rig", "no rig yet: the pictures cannot be measured", advice)
-    made, how = _made(path)
+    made, verb = _made(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
-    text = f"{path}: {how} {_since(days)}; {targets}, ball of {_length(rig)}"
+    text = f"{path}: {verb} {_since(days)}; {targets}, ball of {_length(rig)}"
     return classify(
         "rig",
         text,

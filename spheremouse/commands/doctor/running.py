@@ -50,6 +50,7 @@ def _state(s: StatusReport) -> Finding:
 
 
 def _frames(s: StatusReport) -> Finding | None:
+    """Return the finding on lost, skipped and damaged frames of a running daemon; None before the first frame."""
     if s.frames == 0:
         return None
     produced, described = s.frames + s.dropped + s.skipped + s.damaged, s.source.description
@@ -85,8 +86,8 @@ def _discs(s: StatusReport) -> Finding | None:
         return None
     text = f"{s.discs} used, {s.discs_seen} seen, {s.discs_known} known"
     text += f"; camera pose {span(s.pose.age_s)} old" if s.pose else ""
-    few = s.state == "tracking" and s.discs < _MIN_DISCS
-    return classify("points", text, (few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
+    too_few = s.state == "tracking" and s.discs < _MIN_DISCS
+    return classify("points", text, (too_few, Verdict.WARNING, "", "uncover and light the ball"), used=s.discs)
 
 
 def _motion(s: StatusReport) -> Finding | None:

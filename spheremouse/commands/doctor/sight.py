@@ -81,13 +81,13 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
     numbers |= {"seen": len(found.codes), "residual_px": round(residual, 3), "limit_px": round(limit, 3)}
     listed = ", ".join(found.codes)
     hidden = ", ".join(c for c in all_codes if c not in found.codes)
-    moved = "was a target moved, the lens turned, or the camera exchanged? calibrate what has changed"
-    few = len(found.codes) == 3 < len(all_codes)
+    hint = "was a target moved, the lens turned, or the camera exchanged? calibrate what has changed"
+    only_three = len(found.codes) == 3 < len(all_codes)
     return found.pose, classify(
         "targets",
         f"{len(found.codes)} of {len(all_codes)} found ({listed}), residual {residual:.2f} px",
-        (residual > limit, Verdict.WARNING, f"; {limit:.2f} px would be a millimetre on the frame", moved),
-        (few, Verdict.WARNING, ": nothing checks them", f"uncover or light {hidden}"),
+        (residual > limit, Verdict.WARNING, f"; {limit:.2f} px would be a millimetre on the frame", hint),
+        (only_three, Verdict.WARNING, ": nothing checks them", f"uncover or light {hidden}"),
         **numbers,
     )
 
@@ -96,9 +96,9 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
     """Return three standard deviations of a target's residual, px: of its measurement and of its place in the rig."""
     unit = rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0
     depth = np.maximum(pose.to_cam(rig.targets.position)[:, 2], 1e-6)
-    placed = rig.camera.fx * _TARGET_STABILITY_M * unit / float(np.median(depth))
-    told = rig.camera.fx * np.sqrt(np.mean(np.diag(rig.targets.covariance))) / float(np.median(depth))
-    return 3.0 * float(np.sqrt(sigma**2 + placed**2 + told**2))
+    stability = rig.camera.fx * _TARGET_STABILITY_M * unit / float(np.median(depth))
+    rig_sigma = rig.camera.fx * np.sqrt(np.mean(np.diag(rig.targets.covariance))) / float(np.median(depth))
+    return 3.0 * float(np.sqrt(sigma**2 + stability**2 + rig_sigma**2))
 
 
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
@@ -253,12 +253,12 @@ def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: boo
         )
     smear, turn = per_second * exposure, float(np.degrees(rate * exposure))
     shorter = f"an exposure of {longest_ms:.1f} ms or less (camera.exposure_s), and more light"
-    told = "" if known else "; or exposure_s in the rig file, so that blur is expected"
+    alternative = "" if known else "; or exposure_s in the rig file, so that blur is expected"
     return classify(
         "blur",
         f"{1e3 * exposure:g} ms are {turn:.2f}° or {smear:.1f} px at {at}; a disc is {seen.disc:.1f} px",
         (smear >= seen.disc, Verdict.WRONG, ": a turning ball shows no disc", shorter),
-        (smear > fraction * seen.disc, Verdict.WARNING, "", shorter + told),
+        (smear > fraction * seen.disc, Verdict.WARNING, "", shorter + alternative),
         exposure_ms=1e3 * exposure,
         blur_px=round(smear, 2),
         blur_deg=round(turn, 3),

@@ -33,8 +33,8 @@ def tracker_of(
         tracker = (given or Setup()).wand_tracker(replace(plan, balls=balls))
     except ConfigurationError as e:
         return None, refused("ball", e)
-    told = (f"{b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in tracker.balls)
-    return tracker, ok("ball", "; ".join(told), balls=len(tracker.balls))
+    descriptions = (f"{b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in tracker.balls)
+    return tracker, ok("ball", "; ".join(descriptions), balls=len(tracker.balls))
 
 
 def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
@@ -56,24 +56,28 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
 
 
 def _found(poses: list[WandPose]) -> Finding:
+    """Return the finding on one ball, from its result in each picture."""
     good = [p for p in poses if p.phase is Status.TRACKING]
     name, events = poses[0].name, [p.event for p in poses if p.event is not None]
     if not good:
-        why, advice = trouble_and_remedy(events[-1]) if events else (f"{name} is not seen", "")
-        return wrong("sight", why, advice or "hold it before the camera; `spheremouse wand colours` picks its colours")
+        problem, advice = trouble_and_remedy(events[-1]) if events else (f"{name} is not seen", "")
+        return wrong(
+            "sight", problem, advice or "hold it before the camera; `spheremouse wand colours` picks its colours"
+        )
     last = good[-1]
     assert last.position is not None, "a ball that is tracked has a pose"
     assert last.covariance is not None, "and its covariance"
-    away = float(np.linalg.norm(last.position))
+    distance = float(np.linalg.norm(last.position))
     sigma = float(np.sqrt(np.trace(last.covariance[:3, :3])))
     seldom = len(good) < _MIN_FOUND * len(poses)
     return classify(
         "sight",
-        f"{name}: found in {len(good)} of {len(poses)} pictures, last {away:.2f} m away, known to {1e3 * sigma:.0f} mm",
+        f"{name}: found in {len(good)} of {len(poses)} pictures, last {distance:.2f} m away, "
+        f"known to {1e3 * sigma:.0f} mm",
         (seldom, Verdict.WARNING, "", "more light, or other bounds: spheremouse wand colours PICTURE"),
         pictures=len(poses),
         found=len(good),
-        distance_m=round(away, 3),
+        distance_m=round(distance, 3),
         sigma_mm=round(1e3 * sigma, 1),
     )
 

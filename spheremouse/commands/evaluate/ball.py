@@ -90,6 +90,7 @@ def _settings(options: Options) -> Settings:
 
 
 def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
+    """Yield each dataset with rig and map as the options change them."""
     given = None if options.rig_file is None else load_rig(options.rig_file)
     camera = None if options.camera_file is None else load_camera(options.camera_file)
     if options.map_file is not None and settings.tracker != "so3":
@@ -113,6 +114,7 @@ def _with_pose(rig: Rig, recording: Recording, options: Options) -> Rig:
 
 
 def _run(each: _Track, settings: Settings, options: Options, err: Console) -> BallRun:
+    """Track one dataset with a progress bar, and print why the first frames gave no pose."""
     recording, rig, known, beside = each
     others = []
     if beside is not None:

@@ -123,8 +123,8 @@ def pictures(options: PreviewOptions, source: str) -> None:
             if options.every is None:
                 break
     if due == -np.inf:
-        late = "" if options.at is None else f" from {options.at:g} s on: give a smaller --at"
-        raise SourceError(f"{source}: gave no frame{late}")
+        hint = "" if options.at is None else f" from {options.at:g} s on: give a smaller --at"
+        raise SourceError(f"{source}: gave no frame{hint}")
 
 
 @contextmanager
@@ -145,6 +145,7 @@ def _open(options: PreviewOptions, source: str) -> Iterator[tuple[Iterator[Frame
 
 
 def _from(frames: Iterator[Frame], at: float) -> Iterator[Frame]:
+    """Yield the frames from `at` seconds after the first one on."""
     first: float | None = None
     for frame in frames:
         first = frame.stamp if first is None else first

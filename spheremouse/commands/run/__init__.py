@@ -185,10 +185,10 @@ def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...
     others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
     others += [file for spec in plan.outputs if (file := file_of(spec)) is not None]
     others += [Path(source)] if source else []
-    here = overlay.resolve()
-    if any(here == other.resolve() for other in others):
+    target = overlay.resolve()
+    if any(target == other.resolve() for other in others):
         raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
-    if source and overlay.exists() and Path(source).resolve() in here.parents:
+    if source and overlay.exists() and Path(source).resolve() in target.parents:
         raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
 
 
@@ -257,8 +257,8 @@ def follow(
         source = stack.enter_context(setup.source)
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
-        to = offline.opened(plan.outputs, stack, view)
-        for output in to.values():
+        targets = offline.opened(plan.outputs, stack, view)
+        for output in targets.values():
             output.begin(lambda: describe_run(plan) | {"smoothed": smooth})
         for notice in filter(None, map(left_out, plan.outputs)):
             view.log(str(notice))
@@ -267,7 +267,7 @@ def follow(
             tracked = offline.results(stopping.frames(chosen), adapter)
             if smooth:
                 tracked = offline.smoothed(tracked, adapter, plan.configuration.so3)
-            offline.follow(tracked, adapter, to, view)
+            offline.follow(tracked, adapter, targets, view)
             failure = None if stopping.asked else adapter.failure("")
         except PoseError as e:
             failure = None if stopping.asked else e  # a signal ended the frames

@@ -105,8 +105,8 @@ def uninstall(
     if not user and place.root == _ROOT and not stays:
         _run([["userdel", USER], ["groupdel", USER]], quiet=True)  # userdel leaves a group with members
     if stays:
-        again = "" if user else f", and the user {USER}"
-        typer.echo(f"kept{again}; --purge removes it, too:")
+        suffix = "" if user else f", and the user {USER}"
+        typer.echo(f"kept{suffix}; --purge removes it, too:")
         for path in stays:
             typer.echo(f"  {printable(path)}")
     typer.echo("the service is gone" if actions else "there was no service")
@@ -146,6 +146,7 @@ def _place(root: Path, user: bool) -> Place:
 
 
 def _again(place: Place, command: str) -> str:
+    """Return a command of this program for the same place, to be copied."""
     sudo = "" if place.user else "sudo "
     return f"{sudo}{shutil.which('spheremouse') or service.executable(place)[0]} service {command}" + (
         " --user" if place.user else ""
@@ -162,11 +163,13 @@ def _allowed(place: Place, actions: list[service.FileAction], command: str) -> N
 
 
 def _would(actions: list[service.FileAction]) -> None:
+    """Print the actions of a dry run."""
     for action in actions:
         typer.echo(f"would {action}")
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
+    """Return the commands that make systemd, udev and the kernel use the installed files."""
     commands = [] if place.user else [
         ["systemd-sysusers", "/etc/sysusers.d/spheremouse.conf"],
         ["systemd-tmpfiles", "--create", "/etc/tmpfiles.d/spheremouse.conf"],
@@ -203,11 +206,13 @@ def _run(commands: list[list[str]], quiet: bool = False) -> bool:
     for command in commands:
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-            why = "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
+            reason = (
+                "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
+            )
         except (OSError, subprocess.TimeoutExpired) as e:
-            why = str(e)
-        if why and not quiet:
-            typer.echo(f"failed: {shlex.join(command)}: {why}")
+            reason = str(e)
+        if reason and not quiet:
+            typer.echo(f"failed: {shlex.join(command)}: {reason}")
             well &= command[0] in ("modprobe", "udevadm")
     return well
 

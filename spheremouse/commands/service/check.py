@@ -55,17 +55,17 @@ def check_files(place: Place) -> Finding:
 def check_state(place: Place) -> Finding:
     """Check whether the service runs."""
     name, user = ("own service", " --user") if place.user else ("service", "")
-    told = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_QUERIED_PROPERTIES)}"])
-    active, result = told.get("ActiveState"), told.get("Result", "success")
+    output = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_QUERIED_PROPERTIES)}"])
+    active, result = output.get("ActiveState"), output.get("Result", "success")
     if not active:
         return unchecked(name, "systemd does not run here, or does not answer")
-    log, restarts = f"see journalctl{user} -u {UNIT} -b", int(told.get("NRestarts") or 0)
+    log, restarts = f"see journalctl{user} -u {UNIT} -b", int(output.get("NRestarts") or 0)
     rig, start = place.configuration / "rig.yaml", f"systemctl{user} start {UNIT}"
     if not rig.exists():
         start = f"calibrate (spheremouse calibrate next), copy rig.yaml to {rig}, then: {start}"
     return classify(
         name,
-        f"{active} ({told.get('SubState', '')})",
+        f"{active} ({output.get('SubState', '')})",
         (active == "failed" or result != "success", Verdict.WRONG, f": {result}", log),
         (active != "active", Verdict.WARNING, "", start),
         (restarts > 0, Verdict.WARNING, f", restarted {restarts} times", log),

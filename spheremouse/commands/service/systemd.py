@@ -172,10 +172,10 @@ def _unseen(path: Path) -> str:
     python = Path(sys.executable).resolve()
     own = "or make it your own service: spheremouse service install --user"
     if str(path).startswith(hidden) or str(path.resolve()).startswith(hidden) or _is_private(path):
-        how = "sudo bash service/install.sh, in the release's folder, which puts it into /opt/spheremouse"
+        remedy = "sudo bash service/install.sh, in the release's folder, which puts it into /opt/spheremouse"
         if "pipx" in path.resolve().parts:
-            how = "sudo PIPX_HOME=/opt/pipx PIPX_BIN_DIR=/usr/local/bin pipx install, and the file or name as before"
-        return f"the service's own user cannot read {path}; install it for all: {how}; {own}"
+            remedy = "sudo PIPX_HOME=/opt/pipx PIPX_BIN_DIR=/usr/local/bin pipx install, and the file or name as before"
+        return f"the service's own user cannot read {path}; install it for all: {remedy}; {own}"
     if str(python).startswith(hidden):
         return (
             f"the service's own user cannot read the Python of {path.parent}, {python}; make "
@@ -212,9 +212,9 @@ def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[F
     if allow:
         texts[place.network] = network_text(allow)
     for path, text in texts.items():
-        there = os.path.lexists(path)
-        if not there or differs(path, text):
-            yield FileAction("update" if there else "write", path, partial(_write, path, text))
+        exists = os.path.lexists(path)
+        if not exists or differs(path, text):
+            yield FileAction("update" if exists else "write", path, partial(_write, path, text))
     for unit in fresh:  # a disabled service stays disabled
         if not place.link_of(unit).is_symlink():
             yield FileAction("enable", place.link_of(unit), partial(_link, place, unit))
@@ -273,9 +273,9 @@ def network_text(addresses: Sequence[str]) -> str:
             if address not in _NETWORKS:
                 ip_network(address.replace("%", "/%"))  # no scope, whose text Python does not check
         except ValueError as e:
-            why = "has bits after its prefix" if "host bits" in str(e) else "is neither an IP address nor a network"
+            problem = "has bits after its prefix" if "host bits" in str(e) else "is neither an IP address nor a network"
             raise ServiceError(
-                f"--allow {address}: {why}", f"write for example 192.168.1.7, 192.168.1.0/24 or {_NETWORKS[0]}"
+                f"--allow {address}: {problem}", f"write for example 192.168.1.7, 192.168.1.0/24 or {_NETWORKS[0]}"
             ) from None
     lines = "\n".join(f"IPAddressAllow={address}" for address in dict.fromkeys(addresses))
     return f"{_MARK}# Addresses of network outputs and metrics.\n[Service]\n{lines}\n"
@@ -301,10 +301,10 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
             with _umask(umask):
                 action.do()
         except (OSError, RecursionError, ConfigurationError, ServiceError) as e:
-            why = f"{action}: {printable(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
+            problem = f"{action}: {printable(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
             if action.must:
-                raise ServiceError(why) from None
-            yield f"failed: {why}"
+                raise ServiceError(problem) from None
+            yield f"failed: {problem}"
         else:
             yield str(action)
 

@@ -156,8 +156,8 @@ def _library() -> tuple[Any, str]:
     try:
         pystray = importlib.import_module("pystray")
     except Exception as e:  # each of its libraries raises its own
-        why = " ".join(str(e).split())[:200] or type(e).__name__
-        raise TrayError(f"no tray can be reached ({why}); run {MENU_NEEDS}") from None
+        reason = " ".join(str(e).split())[:200] or type(e).__name__
+        raise TrayError(f"no tray can be reached ({reason}); run {MENU_NEEDS}") from None
     backend = pystray.Icon.__module__.rpartition("._")[2]
     if backend == "xorg":  # has no menu
         raise TrayError(f"the menu needs PyGObject; run {MENU_NEEDS}")

@@ -54,6 +54,7 @@ class Link:
         self._wake.set()
 
     def _run(self) -> None:
+        """Ask for the status again and again, and show it with a recent note, until the tray closes."""
         client: Client | None = None
         while not self._closing.is_set():
             try:
@@ -71,6 +72,7 @@ class Link:
             self._wake.clear()
 
     def _do(self, action: str) -> None:
+        """Carry out an action of the menu, and show its result or error."""
         try:
             if action == "page":
                 self.show(_open_page())

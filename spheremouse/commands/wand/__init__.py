@@ -150,14 +150,14 @@ def _print(picked: "PickedBounds", narrower: bool) -> None:
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (if this is wrong, give --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
-        every = ((f.name, getattr(colour, f.name), getattr(type(colour)(), f.name)) for f in fields(colour))
-        print(f"{name}: {', '.join(f'{bound} {value:g}' for bound, value, default in every if value != default)}")
+        bounds = ((f.name, getattr(colour, f.name), getattr(type(colour)(), f.name)) for f in fields(colour))
+        print(f"{name}: {', '.join(f'{bound} {value:g}' for bound, value, default in bounds if value != default)}")
         print(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
         if name in picked.stray_colours():
-            instead = ", or narrow the bounds" if narrower else ""
-            print(f"  much beside the ball is {name}: clear it away, or use another background{instead}")
+            alternative = ", or narrow the bounds" if narrower else ""
+            print(f"  much beside the ball is {name}: clear it away, or use another background{alternative}")
 
 
 def _circle(text: str) -> tuple[float, float, float]:

@@ -127,9 +127,9 @@ def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
 
 def check_times(path: Path, stamp: Array) -> None:
     """Raise DatasetError unless the times (n,) of a table increase."""
-    back = np.flatnonzero(np.diff(stamp) <= 0.0)
-    if len(back):
-        raise DatasetError(f"{path}, row {back[0] + 2}: t does not increase")
+    not_increasing = np.flatnonzero(np.diff(stamp) <= 0.0)
+    if len(not_increasing):
+        raise DatasetError(f"{path}, row {not_increasing[0] + 2}: t does not increase")
 
 
 def rotations(path: Path, table: dict[str, Array], columns: Sequence[str]) -> Array:

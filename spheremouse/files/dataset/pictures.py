@@ -36,9 +36,11 @@ def _lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...]
                 video.write(image)
             video.release()
             capture = open_film(path)
-            back = [] if capture is None else list(film_images(capture))
+            read_back = [] if capture is None else list(film_images(capture))
             path.unlink(missing_ok=True)
-            if len(back) == len(images) and all(np.array_equal(a, b) for a, b in zip(expected, back, strict=True)):
+            if len(read_back) == len(images) and all(
+                np.array_equal(a, b) for a, b in zip(expected, read_back, strict=True)
+            ):
                 return codec
     return None
 

@@ -156,8 +156,8 @@ class FilmWriter:
             _finish_pictures(self._pictures, self._path)
             for name, text in files.items():
                 (self.folder / name).write_text(text, encoding="utf-8")
-            said = {"name": self._path.name, **scene, "fps": _rate(self._stamps), "frames": self.frames}
-            _write_scene(self.folder, said)
+            content = {"name": self._path.name, **scene, "fps": _rate(self._stamps), "frames": self.frames}
+            _write_scene(self.folder, content)
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
             self.folder.chmod(0o750)  # it may show people

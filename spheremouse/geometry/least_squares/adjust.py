@@ -120,8 +120,8 @@ def levenberg_marquardt(
             if move is not None:
                 if move.promised <= _COST_TOLERANCE**2 * cost:
                     return at
-                there = retract(at, move)
-                lower, normal = linearise(there)
+                candidate = retract(at, move)
+                lower, normal = linearise(candidate)
                 gain = (cost - lower) / move.promised
                 if gain > 0.0:  # nan is not
                     break
@@ -129,7 +129,7 @@ def levenberg_marquardt(
             if damping > _MAX_DAMPING:
                 return at
         damping = max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), _MIN_DAMPING)
-        at, cost, fallen = there, lower, cost - lower
+        at, cost, fallen = candidate, lower, cost - lower
         if fallen <= _COST_TOLERANCE * cost or move.length <= _STEP_TOLERANCE:
             return at
     raise CalibrationError(f"the adjustment does not come to rest: {failure_hint}")

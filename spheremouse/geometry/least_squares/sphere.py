@@ -101,11 +101,11 @@ def off_sphere(points: Array, covariance: Array, sphere: Sphere) -> NDArray[np.b
     offset = points - sphere.centre
     distance = np.linalg.norm(offset, axis=1)
     normal = offset / distance[:, None]
-    off = distance - sphere.radius
+    residual = distance - sphere.radius
     variance = np.einsum("ni,nij,nj->n", normal, covariance, normal)
-    spread = float(mad_sigma(off))
+    spread = float(mad_sigma(residual))
     extra = max(spread**2 - float(np.median(variance)), 0.0)
-    return off**2 > _MAX_CHI2 * (variance + extra)
+    return residual**2 > _MAX_CHI2 * (variance + extra)
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,6 +98,7 @@ class Serial(Output):
             self.link.drop_waiting(time.perf_counter())
 
     def _trouble(self) -> str:
+        """Return why counts do not arrive, with the remedy."""
         if self._port is None:
             return f"{self._port_trouble}; plug the board in again"
         if self.link.running and self.link.ack is not None and not self.link.ack.flags & Flags.USB_READY:
@@ -164,6 +165,7 @@ class Serial(Output):
         self._log_changes()
 
     def _run(self) -> None:
+        """Open the port and exchange frames, until the output closes. A lost port is opened again, ever more rarely."""
         failures = 0
         try:
             while not self._closing.is_set():

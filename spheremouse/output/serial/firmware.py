@@ -87,9 +87,9 @@ def install(drive: Path, force: bool) -> list[str]:
     return stale
 
 
-def _is_ours(there: bytes, here: bytes) -> bool:
+def _is_ours(present: bytes, own: bytes) -> bool:
     """Return True for any version of a file, for a copy that was cut short, and for CircuitPython's examples."""
-    return there.startswith(_FIRST_LINE) or here.startswith(there.rstrip(b"\0")) or there.strip() in _EXAMPLES
+    return present.startswith(_FIRST_LINE) or own.startswith(present.rstrip(b"\0")) or present.strip() in _EXAMPLES
 
 
 def _bytes(path: Path) -> bytes | None:

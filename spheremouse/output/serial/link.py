@@ -274,6 +274,7 @@ class Link:
 
     @property
     def _unanswered(self) -> int:
+        """Return the number of frames that await an ACK."""
         return (self._number - 1 - self._answered) & 0xFFFF
 
     def _take_number(self, now: float) -> int:
@@ -285,6 +286,7 @@ class Link:
         return number
 
     def _end(self, now: float) -> None:
+        """Note that no session runs, and since when counts are blocked."""
         if self.running and self.blocked_since is None:
             self.blocked_since = now
         self.running = False
@@ -341,6 +343,7 @@ class Link:
             self._unconfirmed_since = now
 
     def _confirm(self, counters: Sequence[int]) -> None:
+        """Add the growth of the device's counters, modulo 2^16, to the confirmed counts."""
         self.confirmed = [
             c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
         ]
@@ -362,6 +365,7 @@ class Link:
             self._drop(self.sent)
 
     def _drop(self, keep: Sequence[int]) -> None:
+        """Give up all counts above the totals `keep`, and count them as dropped."""
         self.dropped = [d + t - k for d, t, k in zip(self.dropped, self.total, keep, strict=True)]
         self.total = list(keep)
 

@@ -123,11 +123,11 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
             for b, n in zip(found, numbers, strict=True)
         )
         raise OutputError("serial:auto: several boards", f"write {' or '.join(several)}")
-    there = ", ".join(p.device for p in ports)
-    whose = "of ours" if identifier is None else f"with id={identifier}"
+    names = ", ".join(p.device for p in ports)
+    description = "of ours" if identifier is None else f"with id={identifier}"
     raise OutputError(
-        f"serial:auto: no board {whose} {f'among {there}' if there else 'is plugged in'}",
-        f"{'name its port: serial:PORT' if there else 'plug it in'}, or see `spheremouse firmware install`",
+        f"serial:auto: no board {description} {f'among {names}' if names else 'is plugged in'}",
+        f"{'name its port: serial:PORT' if names else 'plug it in'}, or see `spheremouse firmware install`",
     )
 
 

@@ -83,6 +83,7 @@ class PoseSearch:
         return self._search.take()
 
     def _begin(self, frame: Frame) -> None:
+        """Search a frame's targets in another thread. Raise PoseError for a grey frame."""
         if frame.image.ndim != 3:
             self._views, self._first = [], None
             raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
@@ -91,6 +92,7 @@ class PoseSearch:
         self._search.begin(lambda: self._find(image, first))
 
     def _find(self, image: Image, first: Image) -> Resection | None:
+        """Detect targets, and return the pose when enough frames have been seen, else None."""
         self.view = detect_targets(image, self._rig.targets.radii, self._settings.rings)
         self._views.append(self.view)
         if len(self._views) < self._settings.pose.frames:
@@ -199,6 +201,7 @@ class MissingDiscs:
         return text, strip_digits(before) != strip_digits(self._problem)
 
     def _reset(self) -> None:
+        """Forget the loss of the ball and its diagnosis."""
         self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked
         self._diagnosed = -float("inf")  # s, stamp of the last frame with a diagnosis
         self._diagnosis = _Search[Absence](self._elsewhere)

@@ -154,6 +154,7 @@ class Client:
             ) from None
 
     def _exchange(self, message: dict[str, Any], timeout: float) -> dict[str, Any]:
+        """Send a request and return the reply. Raise NoDaemonError or RefusedError."""
         line = json.dumps(message).encode() + b"\n"
         if len(line) > MAX_LINE:
             raise RefusedError(f"a request of {len(line)} bytes; at most {MAX_LINE} are allowed")
@@ -168,6 +169,7 @@ class Client:
         return self._receive(timeout)
 
     def _receive(self, timeout: float) -> dict[str, Any]:
+        """Return the next message before the timeout; a file descriptor beside it becomes the shared memory."""
         connection, deadline = self._connected(), time.monotonic() + timeout
         try:
             while (end := self._received.find(b"\n")) < 0:
@@ -203,6 +205,7 @@ class Client:
         self._memory = None
 
     def _connected(self) -> socket.socket:
+        """Return the open connection, or make one. Raise an error with the remedy."""
         if self._socket is not None:
             return self._socket
         if not hasattr(socket, "AF_UNIX"):

@@ -68,6 +68,7 @@ def families(status: StatusReport, started: float) -> Iterator[Any]:
 
 
 def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
+    """Yield name, help and samples of each counter."""
     for name, text, value in (
         ("not_tracked_seconds", "Time since the start without tracking.", s.unseen_s),
         ("lost", "Number of times that the ball was lost.", s.lost_count),
@@ -82,6 +83,7 @@ def _counters(s: StatusReport) -> Iterator[tuple[str, str, Samples]]:
 
 
 def _gauges(s: StatusReport, started: float) -> Iterator[tuple[str, str, Samples]]:
+    """Yield name, help and samples of each gauge."""
     output = s.outputs[0]
     for name, text, value in (
         ("start_time_seconds", "Start time of the daemon, since 1970.", started),

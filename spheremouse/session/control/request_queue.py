@@ -116,10 +116,12 @@ class RequestQueue:
         pending.attempt(partial(handle, pending))
 
     def _begin(self, pending: PendingRequest) -> None:
+        """Mark a request as being worked on, until its answer."""
         self._under_way[pending.kind] = pending
         pending._finish = partial(self._end, pending)
 
     def _end(self, pending: PendingRequest) -> None:
+        """Let the next request of this kind begin. A second answer has no effect."""
         with self._lock:
             if self._under_way.get(pending.kind) is not pending:  # a second answer
                 return

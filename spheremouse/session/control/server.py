@@ -142,6 +142,7 @@ class ControlServer:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
+        """Serve clients until the end is requested, and wait shortly for replies under way."""
         self._loop.set_exception_handler(lambda _, context: self._log(f"control: {context['message']}"))
         self._loop.add_reader(self._waking, self._send_samples)
         server = await asyncio.start_unix_server(
@@ -154,6 +155,7 @@ class ControlServer:
             await asyncio.wait(busy, timeout=_MAX_LAST_REPLIES_S)
 
     def _publish(self, event: dict[str, Any]) -> None:
+        """Send an event to all clients that watch."""
         for client in self._clients.values():
             if client.watching is not None:
                 client.push(event)

@@ -47,8 +47,8 @@ def find_socket() -> Path:
     if given:
         return Path(given)
     places = list(candidates())
-    there = [p for p in places if _is_there(p)]
-    return next((p for p in there if _answers(p)), (there or places)[0])
+    existing = [p for p in places if _is_there(p)]
+    return next((p for p in existing if _answers(p)), (existing or places)[0])
 
 
 def candidates() -> Iterator[Path]:
@@ -220,6 +220,7 @@ def _listener_at(path: Path) -> Peer | None:
 
 
 def _taken(path: Path, peer: Peer | None) -> ControlError:
+    """Return the error of a path on which another daemon listens."""
     process = "" if peer is None else f" (process {peer.pid})"
     return ControlError(
         f"{path}: another daemon listens there{process}; stop it, or set control.socket to another path"

@@ -70,8 +70,8 @@ def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
     discs = discs[:0] if state.status is Status.LOST else discs
     expected = appearance(discs @ state.filter.attitude.T, rig, pose)
     shape, known = expected.shape[expected.whole], np.flatnonzero(expected.whole)
-    wider = tracker.filter.gate_radius(state.filter, known, interval) / rig.disc_angle
-    gates = _shapes(shape * (wider**2)[:, None, None])
+    gate_factor = tracker.filter.gate_radius(state.filter, known, interval) / rig.disc_angle
+    gates = _shapes(shape * (gate_factor**2)[:, None, None])
     return {
         "detected": [
             {**disc, "used": u} for disc, u in zip(_ellipses(centre[which], seen.shape[seen.whole]), used, strict=True)

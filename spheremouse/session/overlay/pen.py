@@ -127,6 +127,7 @@ class Pen:
             _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
 
     def _stroke(self, points: Array, colour: Colour, width: int) -> None:
+        """Draw an open line, (n, 2) px."""
         cv2.polylines(
             self._canvas,
             [self._fixed(points)],
@@ -147,6 +148,7 @@ _LETTER_HEIGHT_PX = 22.0  # px high at font scale 1
 
 
 def _dull(colour: Colour, weight: float) -> Colour:
+    """Return a colour that is mixed with grey."""
     b, g, r = (round(weight * c + (1.0 - weight) * 110) for c in colour)
     return b, g, r
 

@@ -23,14 +23,14 @@ def prepare(wanted: bool = True) -> str:
     if not wanted:
         return "usual scheduling, as configured (realtime: off)"
     if claim(0):
-        how = f"real-time scheduling (RR {PRIORITY})"
+        scheduling = f"real-time scheduling (RR {PRIORITY})"
     else:
         try:
             os.nice(-10 - os.nice(0))
-            how = "scheduled before usual programs (nice -10)"
+            scheduling = "scheduled before usual programs (nice -10)"
         except OSError:
-            how = "usual scheduling: the system grants no other (LimitRTPRIO=, or CAP_SYS_NICE)"
-    return f"{how}; {_lock_memory()}"
+            scheduling = "usual scheduling: the system grants no other (LimitRTPRIO=, or CAP_SYS_NICE)"
+    return f"{scheduling}; {_lock_memory()}"
 
 
 def claim(thread: int | None) -> bool:

@@ -68,6 +68,7 @@ class NonBlockingStderr(io.TextIOBase):
             self._dropped += lines
 
     def _run(self) -> None:
+        """Write queued texts, and report how many were dropped, until the queue is closed and empty."""
         while not (self._closing and self._queue.empty()):
             text = self._queue.get()
             with self._counting:

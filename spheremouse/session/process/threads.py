@@ -86,15 +86,16 @@ class WorkerPool:
 
     def _run(self, kind: str) -> None:
         while (work := self._given[kind].get()) is not None:
-            then = self._tried(work)
+            follow_up = self._tried(work)
             del work  # with the pictures that it holds
             with self._lock:
                 self._left[kind] -= 1
-            if then is not None:
-                self._tried(then)
-                del then
+            if follow_up is not None:
+                self._tried(follow_up)
+                del follow_up
 
     def _tried(self, work: Work) -> Callable[[], None] | None:
+        """Do the work and return its follow-up. Log an exception as an internal error."""
         try:
             return work()
         except Exception:

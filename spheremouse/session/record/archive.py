@@ -137,9 +137,9 @@ class Archive:
     def _answer_begun(self) -> None:
         begun, self._begun = self._begun, None
         if begun is not None:
-            pending, told = begun
-            self._log(f"record: {told['message']}")
-            pending.answer(told)
+            pending, reply = begun
+            self._log(f"record: {reply['message']}")
+            pending.answer(reply)
 
     def stop(self, pending: PendingRequest) -> None:
         """End the recording. Raise ControlError if there is none."""

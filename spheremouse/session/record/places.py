@@ -30,10 +30,10 @@ def recordings_folder(settings: RecordSettings) -> Path:
 def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
     """Return a free name in the folder: date and time, with the `suffix` of a picture."""
     stem = time.strftime("%Y-%m-%d-%H%M%S", time.localtime() if now is None else now)
-    path, again = folder / f"{stem}{suffix}", 1
+    path, number = folder / f"{stem}{suffix}", 1
     while path.exists():
-        again += 1
-        path = folder / f"{stem}-{again}{suffix}"
+        number += 1
+        path = folder / f"{stem}-{number}{suffix}"
     return path
 
 

@@ -115,7 +115,7 @@ class Recorder:
     def write(self) -> str:
         """Write frames until the recording ends, and return the result as text. DatasetError: nothing was kept."""
         try:
-            why = self._record()
+            reason = self._record()
             self.open = False
             self._bytes = self._film.size()
             self._film.finish(self._scene(), self._subject.files())
@@ -128,7 +128,7 @@ class Recorder:
             self._film.discard()
         lost = f", {self._dropped} dropped" if self._dropped else ""
         length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
-        return f"{self._folder}: {length}; {why}"
+        return f"{self._folder}: {length}; {reason}"
 
     def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
         """Return the part of a frame to keep, and the number of its mask.
@@ -155,8 +155,8 @@ class Recorder:
 
     def _scene(self) -> dict[str, Any]:
         kept = "everything" if self._settings.everything else f"{self._subject.parts}; the rest is black"
-        said = {"made_by": "spheremouse record", "camera_says": self._camera_line, "kept": kept}
-        return {**said, **self._subject.scene()}
+        content = {"made_by": "spheremouse record", "camera_says": self._camera_line, "kept": kept}
+        return {**content, **self._subject.scene()}
 
     def _record(self) -> str:
         """Write until there is a reason to end, and return it."""
@@ -178,8 +178,8 @@ class Recorder:
                 continue
             now = self._clock()
             if buffer is None:
-                over = now - self._begun >= seconds
-                return f"ended after {seconds:g} s" if over else "ended as asked"
+                time_is_over = now - self._begun >= seconds
+                return f"ended after {seconds:g} s" if time_is_over else "ended as asked"
             self._bytes = self._film.size()
             if self._bytes > limit:
                 return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"

@@ -99,11 +99,11 @@ class WandAdapter(TrackerAdapter):
         named = [[] for _ in estimates]
         names = [ball.name for ball in self.tracker.balls]
         for event in events:
-            whose = names.index(event.ball) if isinstance(event, BallEvent) else self.points
-            named[whose].append(event.name)
+            index = names.index(event.ball) if isinstance(event, BallEvent) else self.points
+            named[index].append(event.name)
         return tuple(
-            Sample(estimate, k + 1, name, "cam", tuple(of))
-            for k, (estimate, name, of) in enumerate(zip(estimates, names, named, strict=True))
+            Sample(estimate, k + 1, name, "cam", tuple(event_names))
+            for k, (estimate, name, event_names) in enumerate(zip(estimates, names, named, strict=True))
         )
 
     def take_messages(self) -> LogMessages:
@@ -191,8 +191,8 @@ class WandAdapter(TrackerAdapter):
         if self.points in self._messages.found:
             return None
         frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
-        why = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
-        return SourceError(f"{self._plan.source}: {why}")
+        reason = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
+        return SourceError(f"{self._plan.source}: {reason}")
 
     def final_messages(self, failed: bool) -> tuple[str, ...]:
         return self._messages.never_found(but=self.points if failed else None)

@@ -45,8 +45,10 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     xy, dxy_duv = np.empty((h * w, 2)), np.empty((h * w, 2, 2))
     for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
         xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
-    away = scene.pose.position - 10.0 * scene.pose.rotation[:, 2]  # behind the camera: the ball keeps its index
-    sphere = Sphere(np.zeros(3) if ball else away, scene.ball_radius, scene.ball_colour)
+    behind_camera = (
+        scene.pose.position - 10.0 * scene.pose.rotation[:, 2]
+    )  # behind the camera: the ball keeps its index
+    sphere = Sphere(np.zeros(3) if ball else behind_camera, scene.ball_radius, scene.ball_colour)
     view, alone = (
         look(shapes, scene.pose.position, scene.pose.rotation) for shapes in ([sphere, *scene.surroundings], [sphere])
     )
@@ -177,13 +179,15 @@ class Layers(NamedTuple):
 
 def render_layers(scene: Scene, backdrop: Backdrop) -> Layers:
     """Render the parts of a scene that `backdrop` shows together."""
-    alone = render_backdrop(replace(scene, surroundings=()))
+    ball_alone = render_backdrop(replace(scene, surroundings=()))
     room = render_backdrop(scene, ball=False).white
-    h, w = alone.outline.shape
-    inside = alone.outline > 0.99
-    front = np.where(inside, 1.0 - backdrop.ball / np.maximum(alone.outline, 1e-3), _before(scene, h, w))[..., None]
-    painted = np.where(inside[..., None], backdrop.white - (1.0 - front) * alone.white, front * room)
-    return Layers(scene, alone, room, front.astype(np.float32), painted.astype(np.float32))
+    h, w = ball_alone.outline.shape
+    inside = ball_alone.outline > 0.99
+    front = np.where(inside, 1.0 - backdrop.ball / np.maximum(ball_alone.outline, 1e-3), _before(scene, h, w))[
+        ..., None
+    ]
+    painted = np.where(inside[..., None], backdrop.white - (1.0 - front) * ball_alone.white, front * room)
+    return Layers(scene, ball_alone, room, front.astype(np.float32), painted.astype(np.float32))
 
 
 def _before(scene: Scene, h: int, w: int) -> NDArray[np.float64]:

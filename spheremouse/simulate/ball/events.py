@@ -172,9 +172,9 @@ def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: flo
         return None
     side = 1.0 if visit.right else -1.0
     since = t - visit.start
-    come, gone = smoothstep(np.array([since, visit.end - t]) / 0.5)
+    arrival, departure = smoothstep(np.array([since, visit.end - t]) / 0.5)
     x = side * (0.13 + 0.03 * np.sin(2.1 * since))
-    y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * (1.0 - come * gone)
+    y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * (1.0 - arrival * departure)
     tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
     axes = _HAND_SCALE * visit.size * np.array([[np.cos(tilt), np.sin(tilt), 0.0], [-np.sin(tilt), np.cos(tilt), 0.0]])
     axes[0] *= side

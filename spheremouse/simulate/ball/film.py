@@ -116,8 +116,8 @@ def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterat
         t = simulation.late + index / simulation.fps
         while changes and t >= changes[0].time:
             scene = changes.pop(0).scene
-            same = scene.pose is renderer.scene.pose
-            renderer = Renderer(scene, simulation.options, renderer.backdrop if same else None)
+            pose_unchanged = scene.pose is renderer.scene.pose
+            renderer = Renderer(scene, simulation.options, renderer.backdrop if pose_unchanged else None)
         yield renderer.frame(simulation.profile, t, index, rng)
 
 
@@ -132,6 +132,7 @@ def _profile(options: SimulationOptions) -> Profile:
 
 
 def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
+    """Return the disturbances of a film of this length."""
     hands = [(0.25, 0.45, True), (0.65, 0.90, True), (0.68, 0.90, False)] if options.hands else []
     visits = [HandVisit(start * seconds, end * seconds, right) for start, end, right in hands]
     if options.cover is not None:  # half a second to come and to go
@@ -185,6 +186,7 @@ def _check_length(seconds: float, fps: float, name: str) -> None:
 
 
 def _check(options: SimulationOptions, named: Named) -> None:
+    """Raise ConfigurationError if an option is out of bounds or contradicts another."""
     check_bounds(options, named)
     for name, value in (("blur", options.blur), ("readout", options.readout)):
         if value > 1.0 / options.fps:

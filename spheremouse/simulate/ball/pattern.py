@@ -136,6 +136,7 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
 
 
 def _painted(name: PatternName, rng: np.random.Generator) -> Albedo:
+    """Return the albedo of a pattern as a function of directions, (n, 3)."""
     if name == "patches":
         field, steepness = _waves(rng, 12.0, 90.0, 1.4)
         return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / steepness)

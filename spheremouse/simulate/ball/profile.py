@@ -155,6 +155,7 @@ class Gestures:
         return self._both(t)[1]
 
     def _both(self, t: Array) -> tuple[Array, Array]:
+        """Return attitude, (n, 3, 3), and rate, (n, 3) rad/s, at times `t`."""
         t = np.asarray(t, dtype=float)
         first, last = (float(t.min()), float(t.max())) if len(t) else (0.0, 0.0)
         done = 0
@@ -184,8 +185,12 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
     are singular there.
     """
     total = TURN_SECONDS * turns if seconds is None else seconds
-    there = float(np.ceil(turns / 2.0))
-    parts = [(there, (1.0, 0.0, 1.0)), (turns - there, (1.0, 0.0, -1.0))] if turns > 1.0 else [(turns, (1.0, 0.0, 1.0))]
+    turns_forth = float(np.ceil(turns / 2.0))
+    parts = (
+        [(turns_forth, (1.0, 0.0, 1.0)), (turns - turns_forth, (1.0, 0.0, -1.0))]
+        if turns > 1.0
+        else [(turns, (1.0, 0.0, 1.0))]
+    )
     gestures, start = [], 0.0
     for share, axis in parts:
         length = total * share / turns
@@ -251,6 +256,7 @@ def shown_to_axes() -> Gestures:
 
 
 def _end(gestures: list[Gesture]) -> float:
+    """Return the end of the last gesture, s."""
     return gestures[-1].start + gestures[-1].length
 
 

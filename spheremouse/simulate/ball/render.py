@@ -160,6 +160,7 @@ class Renderer:
     def _picture(
         self, seen: _Seen, place: _Place, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
+        """Return the picture of a moment, (h, w, 3): light, ball, hands and noise over the prepared background."""
         options, pixel = self.options, seen.pixel
         white, black = place.backdrop.white, place.backdrop.black
         plain = white.reshape(-1, 3)[pixel]

@@ -90,6 +90,7 @@ def _rings(centre: Array, colours: Sequence[tuple[Colour, float]]) -> list[Ring]
 
 
 def _walls() -> list[Shape]:
+    """Return the room around the ball."""
     x, low, top, back, front = _SIDE_X, _FLOOR_Y, _TOP_Y, _BACK_Z, 4.0
     floor = np.array([[-x, low, back], [-x, low, front], [x, low, front], [x, low, back]])
     shapes: list[Shape] = [

@@ -97,9 +97,9 @@ def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.r
 def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> Pose | None:
     """Return the camera in this direction from the device, far enough to have all in view; None if impossible."""
     a, e = np.radians((azimuth, elevation))
-    away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    direction = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
-        pose = looking(_AIM + reach * away, _AIM, np.radians(roll))
+        pose = looking(_AIM + reach * direction, _AIM, np.radians(roll))
         if _in_room(pose) and _shows(scene, pose):
             return pose
     return None
@@ -148,10 +148,10 @@ def _facing(scene: Scene, pose: Pose) -> tuple[NDArray[np.bool_], Array]:
     circle = np.stack([np.cos(phase), np.sin(phase), np.zeros(16)], axis=1)
     cam = pose.to_cam(scene.targets.position[:, None] + 0.98 * scene.targets.radii[2] * circle)
     inside = np.all(_in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
-    away = pose.position - scene.targets.position
-    distance = np.linalg.norm(away, axis=1)
+    to_camera = pose.position - scene.targets.position
+    distance = np.linalg.norm(to_camera, axis=1)
     width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
-    return inside & (width * away[:, 2] / distance > _MIN_RING_PX), cam
+    return inside & (width * to_camera[:, 2] / distance > _MIN_RING_PX), cam
 
 
 def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
@@ -202,10 +202,10 @@ def _before_board(
     `view`: how much the board is tilted, in which direction, and turned in the picture, deg.
     """
     tilt, towards, turn = np.radians([view[0] + rng.normal(0.0, 2.0), view[1] + rng.normal(0.0, 10.0), view[2]])
-    away = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
+    direction = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
     picture = np.array([camera.width / camera.fx, camera.height / camera.fy])  # its size at unit distance
     reach = rng.uniform(0.8, 2.0) * np.max(board.size / picture)
-    pose = looking(MIDDLE + reach * away, MIDDLE, turn + rng.normal(0.0, 0.1))
+    pose = looking(MIDDLE + reach * direction, MIDDLE, turn + rng.normal(0.0, 0.1))
     # turned about the projection centre, so that the board's middle is seen elsewhere
     x, y = rng.uniform(-0.4, 0.4, 2) * picture
     pose = Pose(pose.rotation @ exp(np.array([y, -x, 0.0])), pose.position)
@@ -294,6 +294,7 @@ def truth_of(stills: Stills) -> dict[str, Any]:
 
 
 def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
+    """Return the scene of the photos: camera, ball and device by the options."""
     width, height = options.size
     scale = min(max(width, height) / _REFERENCE[0], min(width, height) / _REFERENCE[1])
     focal = _REFERENCE[2] * scale if options.focal is None else options.focal

@@ -285,8 +285,10 @@ def _polygon(corners: Array) -> tuple[Array, Array]:
     a = corners - origin
     b = np.roll(a, -1, axis=1)
     cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    twice = cross.sum(axis=1)
-    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (3.0 * np.where(twice == 0.0, 1.0, twice)[:, None])
+    doubled_area = cross.sum(axis=1)
+    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (
+        3.0 * np.where(doubled_area == 0.0, 1.0, doubled_area)[:, None]
+    )
     k = corners.shape[1]
     chords = 2.0 * np.pi / k / np.sin(2.0 * np.pi / k)  # the area between chords and curve
-    return origin[:, 0] + centroid, 0.5 * np.abs(twice) * chords
+    return origin[:, 0] + centroid, 0.5 * np.abs(doubled_area) * chords

@@ -197,9 +197,11 @@ def _mug_and_book(rng: np.random.Generator) -> list[list[Face]]:
     return [carton, mug, book]
 
 
-def _near(colour: Colour, by: float, rng: np.random.Generator) -> Colour:
+def _near(colour: Colour, spread: float, rng: np.random.Generator) -> Colour:
     """Return the reflectance of a paint near a screen colour."""
-    b, g, r = np.clip(np.array(colour) + rng.uniform(-by, by) + rng.uniform(-0.4 * by, 0.4 * by, 3), 0.0, 255.0)
+    b, g, r = np.clip(
+        np.array(colour) + rng.uniform(-spread, spread) + rng.uniform(-0.4 * spread, 0.4 * spread, 3), 0.0, 255.0
+    )
     return reflectance((float(b), float(g), float(r)))
 
 

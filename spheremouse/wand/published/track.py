@@ -35,10 +35,12 @@ def follow(
         return acquire(track, stamp, context, rng)
     motions = random_walk(max(stamp - track.stamp, 1e-4), context.tracker)
     fields = fields_near(track, motions, context)
-    moved = move(track.particles, motions, rng)
-    value, match = _LIKELIHOODS[context.tracker.settings.method](moved.position, moved.rotation, context.model, fields)
-    weight, _ = normalise(np.log(np.maximum(moved.weight, 1e-300)) + value)
-    particles = Particles(moved.position, moved.rotation, weight)
+    moved_particles = move(track.particles, motions, rng)
+    value, match = _LIKELIHOODS[context.tracker.settings.method](
+        moved_particles.position, moved_particles.rotation, context.model, fields
+    )
+    weight, _ = normalise(np.log(np.maximum(moved_particles.weight, 1e-300)) + value)
+    particles = Particles(moved_particles.position, moved_particles.rotation, weight)
     pose, count = mean_pose(particles), effective_number(weight)
     after = replace(track, particles=resample_degenerate(particles, rng), pose=pose, stamp=stamp, seen=stamp)
     return after, WandPose(
@@ -82,9 +84,9 @@ def _seen(position: Array, rotation: Array, model: Model, chosen: NDArray[np.boo
 def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float, fit: Array) -> tuple[Array, Array]:
     """Return 20 times the mean of the logarithm over the visible points, (n,), or that of `empty`, and the mean fit."""
     number = np.sum(visible, axis=1)
-    some = np.maximum(number, 1)
-    mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / some, empty)
-    return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / some
+    divisor = np.maximum(number, 1)
+    mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / divisor, empty)
+    return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / divisor
 
 
 _LIKELIHOODS = {"product": log_product, "rims": log_likelihood}
