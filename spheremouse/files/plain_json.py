@@ -1,9 +1,11 @@
 """Read JSON from untrusted files and sockets as plain data.
 
-Raises ValueError, in one line, for invalid JSON, deep nesting, long numbers, a repeated key, and half a surrogate pair.
+Raises ValueError, in one line, for invalid JSON, deep nesting, long or infinite numbers, a repeated key, and half a
+surrogate pair.
 """
 
 import json
+import math
 from typing import Any
 
 MAX_DEPTH = 20  # levels; a scene has 5
@@ -14,14 +16,19 @@ MAX_DIGITS = 30  # of a whole number; 64 bits have 20
 def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = False) -> Any:
     """Return the data of a JSON text, as `json.loads` does, but refuse what this module names.
 
-    `constants` allows NaN and Infinity, which `json.dumps` writes. `surrogates` allows half a surrogate pair: Python
-    represents a byte of a file's name that is not UTF-8 by one (`surrogateescape`). Raises json.JSONDecodeError, which
-    has the line, for invalid JSON, and ValueError without a line for valid JSON that is refused.
+    `constants` allows NaN and Infinity, which `json.dumps` writes, but not 1e999. `surrogates` allows half a surrogate
+    pair: Python represents a byte of a file's name that is not UTF-8 by one (`surrogateescape`). Raises
+    json.JSONDecodeError, which has the line, for invalid JSON, and ValueError without a line for valid JSON that is
+    refused.
     """
     constant = None if constants else _refuse_constant
     try:
         data = json.loads(
-            text, parse_constant=constant, parse_int=_bounded_integer, object_pairs_hook=_refuse_repeated_key
+            text,
+            parse_constant=constant,
+            parse_int=_bounded_integer,
+            parse_float=_finite_float,
+            object_pairs_hook=_refuse_repeated_key,
         )
     except RecursionError:
         raise ValueError(f"nested deeper than {MAX_DEPTH} levels") from None
@@ -46,6 +53,13 @@ def _bounded_integer(text: str) -> int:
     if len(text) > MAX_DIGITS:
         raise ValueError(f"a whole number of {len(text)} digits")
     return int(text)
+
+
+def _finite_float(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):  # as 1e999, which is valid JSON
+        raise ValueError(f"{text[:MAX_DIGITS]} exceeds the largest number")
+    return value
 
 
 def _refuse_constant(name: str) -> Any:
