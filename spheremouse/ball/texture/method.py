@@ -46,7 +46,7 @@ from spheremouse.ball.texture.picture import (
     without_past,
 )
 from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
-from spheremouse.ball.texture.search import PARTS, Level, TextureDetector, TextureState, fits, near, search
+from spheremouse.ball.texture.search import FRAMES_PER_SEARCH, Level, TextureDetector, TextureState, fits, near, search
 from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
 from spheremouse.tracker import Frame, Status
 
@@ -81,7 +81,7 @@ def detect_texture(
         return found, now._replace(shown=shown)
     contrast, light = detector.contrast(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
-    now = _with_contrast(detector, before, contrast, noise)._replace(turn=before.turn + 1)
+    now = _with_contrast(detector, before, contrast, noise)._replace(frame_index=before.frame_index + 1)
     lost = state.status is Status.LOST or recognises
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
@@ -96,7 +96,7 @@ def detect_texture(
             usual = now.usual + _RECENT * (alignment.correlation - now.usual)
             now = now._replace(usual=usual, details=now.details + _RECENT * (_details(detector, now) - now.details))
     elif _details(detector, now) < _PLAIN * now.details:
-        now = now._replace(plain_at=frame.stamp)
+        now = now._replace(last_plain_stamp=frame.stamp)
     found, shown = _detections(detector.fine, alignment, tracker)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _PROVEN_PX:
@@ -181,7 +181,7 @@ def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> Te
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
     pixel = detector.fine.pixel
     starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
-    turn, task = divmod(now.turn, _EVERY)
+    turn, task = divmod(now.frame_index, _EVERY)
     moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
     settle = min(path / _DETAIL, 1.0) / _LOOKS
@@ -239,12 +239,13 @@ def _next_phase(
     if now.alignment is None:
         if isinstance(before, Recognising):
             return _not_recognised(state, before, stamp, tracker)
-        if isinstance(before, Lost) and stamp - max(state.confirmed_at, now.plain_at) > _OTHER_BALL_S:
-            anew = tracker.filter.initial(stamp, state.filter.attitude)
-            return state._replace(phase=Learning(), filter=anew, search=SearchState(), confirmed_at=stamp), (NewMap(),)
+        if isinstance(before, Lost) and stamp - max(state.confirmed_at, now.last_plain_stamp) > _OTHER_BALL_S:
+            new_filter = tracker.filter.initial(stamp, state.filter.attitude)
+            state = state._replace(phase=Learning(), filter=new_filter, search=SearchState(), confirmed_at=stamp)
+            return state, (NewMap(),)
         if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen
-            anew = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
-            return state._replace(filter=anew, confirmed_at=stamp), ()
+            new_filter = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
+            return state._replace(filter=new_filter, confirmed_at=stamp), ()
         coasted = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
         return state._replace(filter=clear_matches(coasted)), ()
     match before:
@@ -270,15 +271,21 @@ def _next_phase(
 def _not_recognised(
     state: TrackState[So3State], phase: Recognising, stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], Events]:
-    """Return the state after a frame that does not fit a saved picture. In time the ball counts as another one."""
-    now: TextureState = state.search
-    before = phase.in_view_since
-    since = stamp if before is None or now.plain_at == stamp else min(before, stamp)
+    """Return the state after a frame that does not fit a saved picture.
+
+    After `_OTHER_BALL_S` with details in view, and two searches of all attitudes, the ball counts as another one: the
+    tracker gives up the saved map and learns a new one. `confirmed_at` follows the frames, since no uncertainty
+    accumulates before the ball is recognised.
+    """
+    texture: TextureState = state.search
+    plain = texture.last_plain_stamp == stamp
+    in_view_since = stamp if phase.in_view_since is None or plain else min(phase.in_view_since, stamp)
     state = state._replace(confirmed_at=stamp)
-    if stamp - since <= _OTHER_BALL_S or now.turn < 2 * PARTS:
-        return state._replace(phase=Recognising(since)), ()
-    anew = tracker.filter.initial(stamp, state.filter.attitude)
-    return state._replace(phase=Learning(), filter=anew, search=SearchState()), (NewMap(saved=True),)
+    if stamp - in_view_since <= _OTHER_BALL_S or texture.frame_index < 2 * FRAMES_PER_SEARCH:
+        return state._replace(phase=Recognising(in_view_since)), ()
+    new_filter = tracker.filter.initial(stamp, state.filter.attitude)
+    state = state._replace(phase=Learning(), filter=new_filter, search=SearchState())
+    return state, (NewMap(saved=True),)  # the saved map is given up
 
 
 def _followed(

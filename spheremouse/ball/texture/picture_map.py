@@ -35,8 +35,8 @@ from spheremouse.ball.texture.picture import (
     without_past,
 )
 from spheremouse.ball.texture.search import (
+    FRAMES_PER_SEARCH,
     LEAST_CORRELATION,
-    PARTS,
     Level,
     TextureDetector,
     TextureState,
@@ -108,7 +108,7 @@ class PictureMap:
     def compare(self, other: "PictureMap") -> PictureComparison | None:
         """Compare with another picture in any frame. Return None if they show no sign of the same ball."""
         correlation = partial(kernels.correlate_texture, _samples(self.coarse, _SAMPLES[1]), other.coarse[:2])
-        for part in range(PARTS):
+        for part in range(FRAMES_PER_SEARCH):
             for attitude in best_attitudes(correlation, attitudes_of_part(part)):
                 found = self.compare_at(other, attitude.T)
                 if found.same_ball:

@@ -48,7 +48,7 @@ _AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick betw
 _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples
 _BEST = 4  # attitudes of a search from which an alignment starts
-PARTS = 64  # frames that a search of all attitudes takes
+FRAMES_PER_SEARCH = 64  # of all attitudes: each frame tries another part of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,12 +111,12 @@ class TextureState(NamedTuple):
     learnt_at: Array  # (3, 3) attitude of the last frame that was learnt
     proven: bool = False  # what changes turns like the ball
     turned: bool = False  # it has turned so far that the pictures show it alone
-    turn: int = 0  # frames
+    frame_index: int = 0  # since the first frame
     alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
     searched: bool = False  # it was not near the prediction
     usual: float = 0.0  # correlation of the frames that fitted near their predictions
     details: float = 0.0  # coarse samples of these frames that showed a detail
-    plain_at: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
+    last_plain_stamp: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
 
@@ -159,7 +159,7 @@ def _starts(detector: TextureDetector, now: TextureState, attitude: Array | None
         for turns in _GRIDS:
             yield from best_attitudes(correlation, turns @ attitude)
     if lost:
-        yield from best_attitudes(correlation, attitudes_of_part(now.turn))
+        yield from best_attitudes(correlation, attitudes_of_part(now.frame_index))
 
 
 def best_attitudes(correlation: Callable[[Array, int], Array], attitudes: Array) -> Array:
@@ -178,14 +178,14 @@ def _grid(least: float, most: float) -> Array:
     return exp(v[(length > least) & (length <= most)].astype(np.float64))
 
 
-def attitudes_of_part(turn: int) -> Array:
-    """Return a part of all rotations, (n, 3, 3): `PARTS` frames in a row have them all.
+def attitudes_of_part(frame_index: int) -> Array:
+    """Return a part of all rotations, (n, 3, 3): `FRAMES_PER_SEARCH` frames in a row have them all.
 
     The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
     About each the ball turns by equal steps.
     """
     n, m = round(4.0 * np.pi / _STEP**2), round(2.0 * np.pi / _STEP)
-    k = np.arange(turn % PARTS, n, PARTS)
+    k = np.arange(frame_index % FRAMES_PER_SEARCH, n, FRAMES_PER_SEARCH)
     height, longitude = 1.0 - (2.0 * k + 1.0) / n, k * np.pi * (3.0 - 5.0**0.5)
     tilt = np.arccos(height)[:, None] * np.stack([-np.sin(longitude), np.cos(longitude), np.zeros(len(k))], axis=1)
     about = exp(np.arange(m)[:, None] * 2.0 * np.pi / m * np.array([0.0, 0.0, 1.0]))

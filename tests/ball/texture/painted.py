@@ -87,5 +87,5 @@ def state_at(texture, R, rng=None, learnt=None, turn=0):
     ]
     start = np.eye(3)
     return TextureState(
-        DETECTOR.fine, levels[0], levels[1], 1.0, NOISE, start, start, proven=True, turned=True, turn=turn
+        DETECTOR.fine, levels[0], levels[1], 1.0, NOISE, start, start, proven=True, turned=True, frame_index=turn
     )

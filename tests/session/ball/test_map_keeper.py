@@ -16,7 +16,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.ball_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball import map_keeper as session_map
-from spheremouse.session.ball.map_keeper import MapKeeper, Newest, succession
+from spheremouse.session.ball.map_keeper import MapKeeper, Newest, choose_map
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
@@ -28,9 +28,9 @@ def known(d, sigma=1e-3):
     return DiscMap(d, sigma**2 * np.eye(2 * len(d)), np.full(len(d), 50, dtype=np.intp))
 
 
-def a_frame(found, absolute=False):
+def a_frame(found, extends_saved=False):
     """What the keeper takes of a frame."""
-    return Newest(lambda: found, absolute)
+    return Newest(lambda: found, extends_saved)
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_a_first_run_saves_and_the_next_begins_with_it(path):
 def test_a_map_that_follows_its_ball_is_said_in_numbers(path):
     save_map(path, saved_now(known(BALL[:25]), RIG))
     moved = np.delete(BALL, [3, 7], axis=0)
-    assert run(path, a_frame(known(moved), absolute=True)) == [
+    assert run(path, a_frame(known(moved), extends_saved=True)) == [
         "25 discs, saved just now",
         "24 discs saved: 23 discs stayed, 2 gone, 1 new",
     ]
@@ -114,7 +114,7 @@ def test_the_same_ball_in_another_frame_is_brought_into_the_frame_it_had(path):
 def test_no_map_is_overwritten_because_the_tracker_says_so(path):
     """It calls an attitude absolute whose map has nothing in common with the one in the file."""
     save_map(path, saved_now(known(BALL), RIG))
-    (text,) = run(path, a_frame(known(OTHER_BALL), absolute=True))[1:]
+    (text,) = run(path, a_frame(known(OTHER_BALL), extends_saved=True))[1:]
     assert text.startswith("another ball, or its discs were moved")
     np.testing.assert_allclose(in_file(path.with_name("rig.map.old.yaml")), BALL, atol=1e-8)
 
@@ -122,7 +122,7 @@ def test_no_map_is_overwritten_because_the_tracker_says_so(path):
 def test_a_map_that_the_run_grew_from_it_may_lose_most_of_its_discs(path):
     """They are gone: the tracker has looked for them."""
     save_map(path, saved_now(known(BALL), RIG))
-    assert run(path, a_frame(known(BALL[:9]), absolute=True))[1:] == ["9 discs saved: 9 discs stayed, 17 gone"]
+    assert run(path, a_frame(known(BALL[:9]), extends_saved=True))[1:] == ["9 discs saved: 9 discs stayed, 17 gone"]
     assert len(in_file(path)) == 9
 
 
@@ -166,7 +166,7 @@ def test_a_new_balls_map_grows_in_its_own_frame_and_the_old_map_is_set_aside_onc
 
 def test_succession_states_the_rotation_that_it_used():
     now = known(BALL @ R.T)
-    next_ = succession(known(BALL), now, absolute=False)
+    next_ = choose_map(known(BALL), now, extends_saved=False)
     assert next_.map is not None
     np.testing.assert_allclose(now.turned(next_.rotation).directions, next_.map.directions, atol=1e-15)
     np.testing.assert_allclose(next_.rotation, R.T, atol=1e-9)
@@ -188,7 +188,7 @@ def test_worth_saving_is_another_disc_or_one_known_twice_as_well():
 
 def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_changed(path):
     said = []
-    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, every=0.0)) as keeper:
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, check_interval_s=0.0)) as keeper:
         keep = keeper.keep
         keep(a_frame(None))
         assert not path.exists()
@@ -199,8 +199,8 @@ def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_change
         keep(a_frame(known(BALL[:11])))
         assert len(in_file(path)) == 11
     assert said == [f"map: {path}: 11 discs saved"]
-    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, every=1e9)) as keeper:
-        keeper.keep(a_frame(known(BALL), absolute=True))
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, check_interval_s=1e9)) as keeper:
+        keeper.keep(a_frame(known(BALL), extends_saved=True))
         assert len(in_file(path)) == 11  # not yet
     assert len(in_file(path)) == 26
 
@@ -219,7 +219,9 @@ def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
         threading.Thread(target=work).start()
 
     monkeypatch.setattr(session_map, "save_map", hang)
-    with closing(MapKeeper(path, RIG, DiscMap.kind, lambda _: None, every=0.0, elsewhere=elsewhere)) as keeper:
+    with closing(
+        MapKeeper(path, RIG, DiscMap.kind, lambda _: None, check_interval_s=0.0, elsewhere=elsewhere)
+    ) as keeper:
         for n in range(5, 26):
             keeper.keep(a_frame(known(BALL[:n])))
         assert len(slow) == 1
@@ -241,11 +243,26 @@ def test_a_disk_that_is_full_is_told_and_the_run_goes_on(path, monkeypatch):
     assert os.listdir(path.parent) == []
 
 
+def test_an_error_that_comes_again_after_a_save_is_told_again(path, monkeypatch):
+    full, synced, said = False, os.fsync, []
+
+    def sync(file):
+        if full:
+            raise OSError(28, "No space left on device")
+        synced(file)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    with closing(MapKeeper(path, RIG, DiscMap.kind, said.append, check_interval_s=0.0)) as keeper:
+        for n, full in ((10, True), (12, True), (14, False), (16, True)):  # noqa: B007  `sync` reads it
+            keeper.keep(a_frame(known(BALL[:n])))
+    assert said == 2 * [f"map: {path}: not saved: {path}: cannot be written: No space left on device"]
+
+
 def test_a_folder_that_cannot_be_written_is_told_at_the_start(path, monkeypatch):
     save_map(path, saved_now(known(BALL), RIG))
     monkeypatch.setattr(session_map.os, "access", lambda *_: False)
     before = path.read_bytes()
-    said = run(path, a_frame(known(BALL[1:]), absolute=True), every=0.0)
+    said = run(path, a_frame(known(BALL[1:]), extends_saved=True), every=0.0)
     assert said == [
         "26 discs, saved just now",
         f"map: {path.parent}: not writable: the daemon cannot save this run's map",
