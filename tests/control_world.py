@@ -108,7 +108,7 @@ class Daemon:
             case protocol.Profile(name=None):
                 reply({"profiles": {"doom": ["motion.scale_x=2"], "menu": ["motion.scale_x=1"]}})
             case protocol.Profile(name=name):
-                words = "configuration applied: motion.scale_x 1.0 → 2"
+                words = "configuration applied: motion.scale_x 1.0 → 2.0"
                 reply({"changed": ["motion"], "values": {"motion.scale_x": [1.0, 2.0]}, "message": words})
             case protocol.Record(stop=True):
                 words = f"{folder}bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked"

@@ -276,7 +276,7 @@ def test_watching_a_daemon_that_ends_is_exit_code_3(ctl, path):
 
 def test_a_profile_is_used_by_its_name_and_all_are_listed_without_one(ctl, daemon):
     assert ctl("profile") == (0, "doom: motion.scale_x=2\nmenu: motion.scale_x=1\n", "")
-    assert ctl("profile", "doom") == (0, "configuration applied: motion.scale_x 1.0 → 2\n", "")
+    assert ctl("profile", "doom") == (0, "configuration applied: motion.scale_x 1.0 → 2.0\n", "")
     assert json.loads(ctl("profile", "--json")[1])["profiles"]["menu"] == ["motion.scale_x=1"]
 
 
