@@ -21,6 +21,8 @@ import pytest
 from spheremouse import native
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.constellation.identify import attitude, shared_rotation
+from spheremouse.ball.filters.so3_state import inject
+from spheremouse.ball.texture.picture import correlate
 from spheremouse.ball.track import step
 from spheremouse.commands import app
 from spheremouse.geometry.rotation import exp, left_jacobian
@@ -108,6 +110,13 @@ def run() -> None:
     state = begin(tracker, frames[0].stamp)
     for frame in (*frames[:8], *frames[8::4]):  # after a gap an update is not ordinary
         state = step(state, frame, tracker).state
+    inject(state.filter, np.full(len(state.filter.joint), 1e-3))  # as a lone disc's twist does
+    patterned = build(rig, rig.pose, Configuration(detector="texture"))
+    state = begin(patterned, frames[0].stamp)
+    for frame in frames[:8]:
+        state = step(state, frame, patterned).state
+    learnt = state.search
+    correlate(patterned.detector_data.fine, learnt.fine.seen, learnt.fine.picture, learnt.began[None], 50)
     known = directions(12, 0)
     turn = exp(np.array([0.2, -0.1, 0.3]))
     seen = (known @ turn.T)[(known @ turn.T)[:, 2] > 0.2]
@@ -248,7 +257,7 @@ def wrong_kinds(value: np.ndarray) -> Iterator[np.ndarray]:
     """Arrays that no entry point takes in place of this one: another type, order, or number of axes."""
     yield from (np.zeros(value.shape, kind) for kind in TYPES if np.dtype(kind) != value.dtype)
     yield value[None]
-    yield np.asarray(value.sum(axis=0, dtype=value.dtype))
+    yield np.asarray(value[0]) if len(value) else np.zeros(value.shape[1:], value.dtype)
     doubled = np.repeat(value, 2, axis=-1)
     yield from (a for a in (np.asfortranarray(value), doubled[..., ::2]) if not a.flags.c_contiguous)
 

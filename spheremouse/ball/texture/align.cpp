@@ -15,6 +15,7 @@ constexpr float YOUNG = 3.0f;     // views: the place of a cell with few follows
 constexpr double NEAR = 2e-4;     // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
 constexpr int FEW = 4000;         // samples of which some show the way
 constexpr float CAUCHY = 2.385f;  // standard deviations: 95 % efficiency for normal errors
+constexpr int MOST_ANCHORS = 1 << 12;
 
 /// The residuals' model.
 struct Errors {
@@ -171,12 +172,12 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
 
 nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, double noise, double place, double pixel,
                         nb::handle anchor_of_, int anchors) {
-    members(picture_, 2, "picture");
     const Samples samples = read_samples(samples_);
-    const Picture picture = read_picture(picture_[0], picture_[1]);
+    const Picture picture = read_picture(picture_);
     const auto anchor_of = array<const int64_t, 6, -1, -1>(anchor_of_, "anchor_of");
     if (int(anchor_of.shape(1)) != picture.tiles() || int(anchor_of.shape(2)) != picture.tiles())
         throw nb::type_error("anchor_of: must have one element for each tile of the picture");
+    if (anchors < 0 || anchors > MOST_ANCHORS) throw nb::index_error("anchors: too many");
     for (size_t i = 0; i < anchor_of.size(); i++)
         if (anchor_of.data()[i] < 0 || anchor_of.data()[i] >= anchors)
             throw nb::index_error("anchor_of: no such anchor");
@@ -215,9 +216,8 @@ std::vector<Pixel> strongest(const Samples& samples, int most) {
 
 /// Return the correlation of frame and picture at each attitude, 0 where the picture knows less than half of it.
 NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::handle attitudes_, int most) {
-    members(picture_, 2, "picture");
     const Samples samples = read_samples(samples_);
-    const Picture picture = read_picture(picture_[0], picture_[1]);
+    const Picture picture = read_picture(picture_);
     const auto attitudes = matrices<3, 3>(attitudes_, "attitudes");
     auto result = zeros<double>({size_t(attitudes.rows())});
     nb::gil_scoped_release release;
@@ -244,8 +244,10 @@ NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::h
 
 }  // namespace
 
-Picture read_picture(nb::handle value_, nb::handle weight_) {
-    const auto value = array<float, 6, -1, -1>(value_, "value"), weight = array<float, 6, -1, -1>(weight_, "weight");
+Picture read_picture(nb::tuple picture) {
+    members(picture, 2, "picture");
+    const auto value = array<float, 6, -1, -1>(picture[0], "value");
+    const auto weight = array<float, 6, -1, -1>(picture[1], "weight");
     const int n = int(value.shape(1));
     if (n < TILE || n % TILE || int(value.shape(2)) != n || int(weight.shape(1)) != n || int(weight.shape(2)) != n)
         throw nb::type_error("value, weight: must have the shape (6, n, n), n a multiple of 8");
@@ -258,14 +260,16 @@ Samples read_samples(nb::tuple samples) {
     const auto direction = array<const float, -1, -1, 3>(samples[1], "direction");
     const auto odds = array<const float, -1, -1>(samples[2], "odds");
     const auto offset = array<const float, -1, -1>(samples[3], "offset");
-    const int step = number<int>(samples[4], "samples");
+    const int64_t step = number<int>(samples[4], "samples");
     const int rows = int(direction.shape(0)), columns = int(direction.shape(1));
     for (const auto& each : {odds, offset})
         if (int(each.shape(0)) != rows || int(each.shape(1)) != columns)
             throw nb::type_error("odds, offset: must have the shape of direction");
-    if (step < 1 || (rows - 1) * step >= int(contrast.shape(0)) || (columns - 1) * step >= int(contrast.shape(1)))
+    if (step < 1 || (rows - 1) * step >= int64_t(contrast.shape(0)) ||
+        (columns - 1) * step >= int64_t(contrast.shape(1)))
         throw nb::type_error("contrast: must have a pixel for each sample");
-    return {contrast.data(), direction.data(), odds.data(), offset.data(), int(contrast.shape(1)), rows, columns, step};
+    return {contrast.data(), direction.data(), odds.data(), offset.data(), int(contrast.shape(1)), rows,
+            columns,         int(step)};
 }
 
 void bind_align(nb::module_& m) {

@@ -102,7 +102,7 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
                    double most, int turn, bool forget) {
     const Samples samples = read_samples(samples_);
     const auto contrast = array<const float, -1, -1>(samples_[0], "contrast");
-    const Picture picture = read_picture(picture_[0], picture_[1]);
+    const Picture picture = read_picture(picture_);
     const auto known = array<float, 6, -1, -1>(known_, "known");
     const int tiles = picture.tiles();
     if (int(known.shape(1)) != tiles || int(known.shape(2)) != tiles)
@@ -137,7 +137,7 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
 void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tuple after, double noise, double share,
                   double settle, double apart_) {
     const Samples samples = read_samples(samples_);
-    const Picture picture = read_picture(picture_[0], picture_[1]);
+    const Picture picture = read_picture(picture_);
     const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
     members(after, 3, "after");
     const auto mean = array<float, -1, -1>(after[0], "mean"), odds = array<float, -1, -1>(after[1], "odds"),

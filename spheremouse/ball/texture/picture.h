@@ -93,7 +93,7 @@ struct Samples {
     Vector3f towards(int i) const { return Eigen::Map<const Vector3f>(direction + 3 * size_t(i)); }
 };
 
-Picture read_picture(nb::handle value, nb::handle weight);
+Picture read_picture(nb::tuple picture);
 Samples read_samples(nb::tuple samples);
 
 }  // namespace spheremouse::ball
