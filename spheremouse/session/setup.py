@@ -69,7 +69,9 @@ class Setup:
         return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
 
     def wand_tracker(self, plan: RunConfig) -> "WandTracker":
-        """Return the tracker of the plan's balls, else of the recording's own, else of Grzonka's.
+        """Return the tracker of the plan's balls, else of the recording's own, else of `grzonka_ball()`.
+
+        Equal names of balls get numbers.
 
         Raises ConfigurationError if no file describes the camera, or if `wand.points` exceeds the number of balls.
         """

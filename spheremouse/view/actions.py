@@ -16,7 +16,7 @@ from spheremouse.files.figures import read_figures
 from spheremouse.files.yaml import parse_bytes
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.session.process import child
-from spheremouse.view.daemon import Daemon, Values
+from spheremouse.view.daemon import DaemonLink, Values
 from spheremouse.view.guide import Guide
 from spheremouse.view.recordings import Recordings
 
@@ -34,7 +34,7 @@ class Done(NamedTuple):
 class Actions:
     """The actions of one page."""
 
-    def __init__(self, daemon: Daemon, guide: Guide) -> None:
+    def __init__(self, daemon: DaemonLink, guide: Guide) -> None:
         self._daemon, self._guide = daemon, guide
         self.recordings = Recordings(daemon, self._run)
 

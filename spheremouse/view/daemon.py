@@ -43,7 +43,7 @@ class _Description(NamedTuple):
     profiles: dict[str, list[str]]
 
 
-class Daemon:
+class DaemonLink:
     """The daemon at `socket`, or the one that `Client` finds. All methods are called in the event loop.
 
     A thread reads the events. It stores samples itself, since 60 a second would wake the loop too often.

@@ -15,7 +15,7 @@ from spheremouse.files.exchange import values_of
 from spheremouse.files.listing import Listed, list_recordings
 from spheremouse.session.control.client import NoDaemonError
 from spheremouse.session.replay import ReplayProcess
-from spheremouse.view.daemon import Daemon, Message
+from spheremouse.view.daemon import DaemonLink, Message
 
 _MAX_END = 3.0  # s; systemd gives the page 5 s
 _OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
@@ -25,7 +25,7 @@ _MAX_COMPARED = 60.0  # s of a recording
 class Recordings:
     """The recordings in the daemon's folder and in the working folder, and the replay of one of them."""
 
-    def __init__(self, daemon: Daemon, run: Callable[..., Awaitable[Message]]) -> None:
+    def __init__(self, daemon: DaemonLink, run: Callable[..., Awaitable[Message]]) -> None:
         """`run` returns the JSON that a command of ours prints."""
         self._daemon, self._run, self._live = daemon, run, daemon.socket
         self._replay: ReplayProcess | None = None

@@ -29,7 +29,7 @@ from spheremouse.errors import SpheremouseError, one_line, printable
 from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
 from spheremouse.view.actions import Actions
-from spheremouse.view.daemon import Daemon
+from spheremouse.view.daemon import DaemonLink
 from spheremouse.view.guide import LOOK, Guide, GuideOptions
 from spheremouse.view.pictures import Pictures
 
@@ -84,7 +84,7 @@ class Page:
     def __init__(self, socket: Path | None, access: Access, guide: GuideOptions) -> None:
         """Call it in the event loop. Without `socket` the daemon is found as `spheremouse ctl` does."""
         self.access = access
-        self.daemon = Daemon(socket, self._publish)
+        self.daemon = DaemonLink(socket, self._publish)
         self.pictures = Pictures(lambda: self.daemon.socket)
         self.guide = Guide(guide, socket, self._publish)
         self.actions = Actions(self.daemon, self.guide)

@@ -52,7 +52,10 @@ class FilterState(Protocol):
         ...
 
     def with_reference_of(self, other: Self) -> Self:
-        """Return the state with the reference of `other`, whose error is independent of this state's errors."""
+        """Return the state with the error of the reference of `other`, which is independent of this state's errors.
+
+        The reference is the attitude from which the next reported motion counts (`TrackState.reported_attitude`).
+        """
         ...
 
     def with_cameras_of(self, other: Self) -> Self:

@@ -187,9 +187,10 @@ class So3State:
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
-        """Return the state with the reference of `other`, whose error is independent of this state's errors.
+        """Return the state with the error of the reference of `other`, which is independent of this state's errors.
 
-        It has the other cameras of that state. If the ball's centre moves in that state, it moves in this one.
+        It has the other cameras of that state. If the ball's centre moves in that state (`centre_noise` > 0), it moves
+        in this one, from that place on.
         """
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0

@@ -27,7 +27,7 @@ from spheremouse.ball.state import (
 )
 from spheremouse.tracker import Status
 
-_SPEAKS = 4  # discs in view: fewer are no evidence against a map
+_MIN_DISCS_AGAINST_MAP = 4  # in view
 _NEW_CENTRE_AFTER_S = 5.0  # a ball off its centre for so long stays there: a new map begins about the new centre
 _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 
@@ -175,8 +175,8 @@ def recognise(
 ) -> tuple[TrackState[So3State], Events]:
     """Return the state and events after a frame in which the attitude on a saved map is unknown.
 
-    If recognition is certain, the attitude becomes absolute. If it fails for `loss.reset_after` s with enough discs in
-    view, the map belongs to another ball, and a new map begins.
+    If recognition is certain, the attitude becomes absolute, and motion counts from it. If it fails for
+    `loss.reset_after` s with enough discs in view, the map belongs to another ball, and a new map begins.
     """
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
@@ -185,9 +185,10 @@ def recognise(
         return state._replace(absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
     in_view = state.most_in_view(stamp)
-    since = stamp if before is None or in_view < _SPEAKS else min(before, stamp)
-    state = state._replace(confirmed_at=stamp)
-    if stamp - since < tracker.settings.loss.reset_after:
+    too_few = in_view < _MIN_DISCS_AGAINST_MAP
+    since = stamp if before is None or too_few else min(before, stamp)
+    state = state._replace(confirmed_at=stamp)  # no uncertainty accumulates before the first attitude
+    if too_few or stamp - since < tracker.settings.loss.reset_after:
         return state._replace(phase=Recognising(since)), ()
     filtered, view = _new_map(state, stamp, tracker)
     state, events = found(state._replace(filter=filtered), Learning(views=(view,)), stamp)
