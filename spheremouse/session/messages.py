@@ -136,7 +136,7 @@ def sentence(event: Event, words: Words) -> str:
             )
             return f"tracking again: {explanation}"
         case events.OutOfRound():
-            cause = "it is out of round, the camera was moved, or the rig is wrong"
+            cause = "its bearings are worn, it is out of round, the camera was moved, or the rig is wrong"
             return f"the {parts} do not fit a ball that turns about its centre: {cause}"
         case events.ReadoutKnown(readout):
             return (

@@ -412,3 +412,9 @@ def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypat
         assert time.monotonic() - began < 5.0
         ended.set()
         thread.join(5.0)
+
+
+def test_a_ball_off_its_place_has_a_row_with_the_causes():
+    assert "12 mm from its place: worn bearings, or an inexact rig" in shown(centre_shift_mm=12.4)
+    assert "from its place" not in shown(centre_shift_mm=0.4)
+    assert "from its place" not in shown(centre_shift_mm=None)

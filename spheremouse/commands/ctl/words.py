@@ -27,6 +27,7 @@ _COLOURS = {
     "failed-output": "bold red",
 }
 
+_MIN_SHIFT_MM = 2.0  # that the discs show for certain
 _STATE_COLUMNS = 2 + max(map(len, _COLOURS))
 
 
@@ -43,6 +44,8 @@ def status_table(s: StatusReport) -> Panel:
     if s.balls is None:
         rows.add_row("points", f"{_n(s.discs)} used, {_n(s.discs_seen)} seen, {_n(s.discs_known)} known")
         rows.add_row("pose", _pose(s.pose))
+        if s.centre_shift_mm is not None and s.centre_shift_mm >= _MIN_SHIFT_MM:
+            rows.add_row("centre", f"{s.centre_shift_mm:.0f} mm from its place: worn bearings, or an inexact rig")
     for ball in s.balls or ():
         rows.add_row("ball", _ball(ball))
     rows.add_row("motion", _motion(s))

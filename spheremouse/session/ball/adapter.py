@@ -254,10 +254,17 @@ class BallAdapter(TrackerAdapter):
             discs=int(found.get("discs_used", 0)) if tracking else 0,
             discs_seen=int(found.get("discs_seen", 0)),
             discs_known=int(found.get("discs_known", 0)),
+            centre_shift_mm=self._centre_shift_mm(),
             motion=of_ball(self.settings.motion).motion(estimate) if tracking and estimate is not None else None,
             pose=self._pose_status(),
             targets=self._targets_status(),
         )
+
+    def _centre_shift_mm(self) -> float | None:
+        """Return how far the discs show the ball from its calibrated place; None before, or without a length."""
+        if self.state is None or self.rig.scale_free:
+            return None
+        return 1e3 * float(np.linalg.norm(self.state.filter.centre))
 
     def scene(self) -> dict[str, Any]:
         """Return camera, ball, discs of the map and targets.

@@ -128,6 +128,7 @@ class TrackerStatus(_Part):
     discs: int | None = None
     discs_seen: int | None = None
     discs_known: int | None = None
+    centre_shift_mm: float | None = None
     pose: PoseStatus | None = None
     targets: TargetsStatus | None = None
     motion: MotionStatus | None = None

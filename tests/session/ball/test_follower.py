@@ -115,3 +115,16 @@ def test_one_disc_in_view_of_a_ball_with_twelve_sends_no_jump():
     for stamp, confirmed, reason in zip(seen.stamps, seen.confirmed, seen.reasons, strict=True):
         since = stamp if confirmed else since
         assert reason.startswith("motion withheld") == (stamp - since > 0.1), stamp
+
+
+def test_a_ball_that_sinks_states_its_cause_and_by_how_much():
+    film = prepare(
+        SimulationOptions(motion="play", seconds=3.0, lift=1.5, lift_by=(0.0, -10.0, 0.0), lift_seconds=9.0, seed=1)
+    )
+    adapter = BallAdapter(replace(film.scene.rig(), pose=film.scene.pose), Configuration(), None, lambda _: None)
+    lines = []
+    for filmed in simulate(film):
+        adapter.follow(filmed.frame)
+        lines.append(adapter.take_messages().change or "")
+    assert "its bearings are worn" in " ".join(lines)
+    assert adapter.tracker_status(True).centre_shift_mm == pytest.approx(10.0, abs=2.0)
