@@ -64,7 +64,11 @@ def validate(file: Path, c: Configuration) -> Found:
 def _files(file: Path, c: Configuration, found: Found) -> None:
     """Check rig, camera, map, balls and recordings."""
     rig = _read(("rig",), beside(file, c.rig), load_rig, found)
-    _read(("camera_file",), beside(file, c.camera_file), load_camera, found)
+    camera = _read(("camera_file",), beside(file, c.camera_file), load_camera, found) or (rig and rig.camera)
+    size = c.camera.size
+    if camera is not None and size is not None and size != (camera.width, camera.height):
+        problem = f"{size[0]}x{size[1]}: the camera was calibrated at {camera.width}x{camera.height}; set that size"
+        found.wrong.append(Problem(("camera", "size"), problem))
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
         saved = _read(("map",), path, load_map, found)
         if saved is not None and rig is not None:

@@ -42,6 +42,15 @@ def test_what_is_as_it_is_named_is_ok(checked):
     assert checked() == (0, ["c.yaml: ok"])
 
 
+@pytest.mark.parametrize("calibration", ["rig: rig.yaml", "camera_file: camera.yaml"])
+def test_a_size_that_the_camera_was_not_calibrated_at_is_wrong(checked, calibration):
+    code, lines = checked(calibration, "camera: {size: 333x222}")
+    assert code == 2
+    assert lines == ["c.yaml:3: camera.size: 333x222: the camera was calibrated at 640x480; set that size"]
+    assert checked(calibration, "camera: {size: 640x480}")[0] == 0
+    assert checked("camera: {size: 333x222}")[0] == 0
+
+
 @pytest.mark.parametrize(
     ("line", "told"),
     [
