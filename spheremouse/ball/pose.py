@@ -234,7 +234,7 @@ class PoseFit(NamedTuple):
 
     pose: Pose
     residual: Array  # (2k,) px, measured minus predicted
-    A: Array  # (2k, 6) d_centre_d_pose
+    A: Array  # (2k, 6) d_centre_d_pose; position, then rotation, as in `Pose`
     J: Array  # (2k, 3k) d_centre_d_targets, px/m
     W: Array  # (2k, 2k) weights
     covariance: Array  # (6, 6)
@@ -278,7 +278,11 @@ def _block_diagonal(blocks: Array) -> Array:
 
 
 def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
-    """Return the pose from these sightings; the weights include the targets' joint covariance."""
+    """Return the pose adjusted to k sightings from `start`; None if that fails. It rejects no outliers.
+
+    `which` (k,) are their indices in the rig's targets. The weights include the targets' joint covariance. If the
+    residuals are too large, the covariance of the image alone grows. With three targets nothing checks it.
+    """
     observed = np.array([s.centre for s in used])
     image = _block_diagonal(np.array([s.covariance for s in used]))
     rows = (3 * which[:, None] + np.arange(3)).ravel()
@@ -289,7 +293,7 @@ def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig
     r, J, covariance = fit.residual, fit.J, fit.covariance
     freedom = 2 * len(used) - 6
     factor = float(r @ fit.W @ r) / freedom if freedom > 0 else 1.0
-    G = covariance @ fit.A.T @ fit.W  # error of the pose: G (noise - J error of the targets)
+    G = covariance @ fit.A.T @ fit.W  # pose error = G (image noise - J target error)
     if factor > 1.0:
         component = _image_component(r, image, J @ targets @ J.T, freedom)
         covariance = covariance + (component - 1.0) * G @ image @ G.T

@@ -85,14 +85,17 @@ def image(photo: Photo) -> NDArray[np.uint8]:
 
 
 def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:
-    """Raise CalibrationError for photos of another mode than the camera file's."""
+    """Raise CalibrationError if a photo has another size than the camera file, whose lens holds for one mode.
+
+    The message names the first such photo.
+    """
     mode = camera.width, camera.height
     other = next((p for p in photos if p.size != mode), None)
     if other is None:
         return
     raise CalibrationError(
         f"{other.path}: is {px(other.size)}, and {camera_path} is for the mode {px(mode)}: another mode, or turned by "
-        "software; take originals in that mode, or calibrate the mode you use from board photos"
+        "software; take originals in that mode, or calibrate the mode you use from photos of a board"
     )
 
 

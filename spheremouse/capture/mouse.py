@@ -62,10 +62,13 @@ class Mouse:
 
 
 def mice(sys_input: Path = _SYS, nodes: Path = _INPUT) -> list[Mouse]:
-    """Return the devices with relative X and Y, whether you may read them or not."""
+    """Return the devices that report relative X and Y, in the order of their numbers.
+
+    Sysfs lists also devices whose node this account may not read. Entries that cannot be read are left out.
+    """
     found = []
     for folder in sorted(sys_input.glob("event*"), key=lambda p: int(re.sub(r"\D", "", p.name) or 0)):
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, IndexError):
             bits = int((folder / "device/capabilities/rel").read_text().split()[-1], 16)
             if bits & 1 << REL_X and bits & 1 << REL_Y:
                 found.append(Mouse(nodes / folder.name, (folder / "device/name").read_text().strip()))

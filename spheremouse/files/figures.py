@@ -1,5 +1,6 @@
 """Read the figures that the calibrations write as JSON, as rows for people."""
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -18,17 +19,19 @@ Row = tuple[str, str, str]  # quantity, value with its unit, standard deviation 
 
 
 def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
-    """Return the figures in these folders: `file`, `kind`, `date`, `rows`, `photos` and `advice`, or `problem`.
+    """Return the reports of calibrations in these folders, at most `_MAX_FILES`, in the order of their paths.
 
-    A photo has `file`, `rms_px`, `points` and the reason `why` it is left out. A JSON file of another kind counts as a
-    report if it has the name of a YAML file. Raises ConfigurationError if a folder cannot be read.
+    A report has `file`, `kind`, `date`, `rows`, `photos` and `advice`. A photo has `file`, `rms_px`, `points`, and
+    `why` it is left out. A damaged report has `file` and `problem`. Other JSON files count as damaged reports if a YAML
+    file of the same name is beside them, and are left out otherwise. A missing folder has no reports. Raises
+    ConfigurationError if a folder cannot be read.
     """
     try:
-        files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.glob("*.json")}
+        files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.iterdir()}
     except OSError as e:
         raise ConfigurationError(f"{e.filename}: cannot be read ({e.strerror})") from None
-    found = [_read(path) for path in sorted(files)[:_MAX_FILES]]
-    return [each for each in found if "problem" not in each or Path(each["file"]).with_suffix(".yaml").exists()]
+    found = [_read(path) for path in sorted(f for f in files if f.suffix == ".json")[:_MAX_FILES]]
+    return [each for each in found if "problem" not in each or os.path.exists(Path(each["file"]).with_suffix(".yaml"))]
 
 
 def _read(path: Path) -> dict[str, Any]:

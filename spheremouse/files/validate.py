@@ -156,6 +156,11 @@ def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, valu
 
 
 def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
+    """Return advice on an unknown key `word` of the section `parent`, for example "did you mean motion.scale_x?".
+
+    Similar keys of this section come first. Then the section may be wrong, so keys of all sections count, if they are
+    more similar. Otherwise the advice lists the keys of this section.
+    """
     section = _model_at(parent, model)
     siblings = list(section.model_fields) if section else []
     if difflib.get_close_matches(word, siblings, cutoff=0.6):

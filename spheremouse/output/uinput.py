@@ -123,7 +123,11 @@ def write_events(kind: str, device: Any, event_type: int, events: Sequence[tuple
 
 
 def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[Any]]) -> Any:
-    """Create an input device with evdev's `capabilities`. Raise OutputError with the `kind` of output if it cannot."""
+    """Create an input device, an evdev.UInput that the caller closes, for an output of a `kind`.
+
+    `name` and `product`, a USB product number, identify it to programs. `capabilities` are those of evdev: codes by
+    type of event. Raises OutputError, which begins with `kind`, without evdev, without access, or if it is refused.
+    """
     if obstacle := _obstacle(NODE):
         problem, hint = obstacle
         raise OutputError(f"{kind}: {problem}", hint)
@@ -144,7 +148,7 @@ def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[
             version=VERSION,
             bustype=BUS,
             phys=f"{name}/input0",
-            max_effects=0,  # the default of evdev declares force feedback, which none has
+            max_effects=0,  # evdev's default declares force feedback, which no device of ours has
         )
     except (OSError, evdev.UInputError) as e:
         raise OutputError(f"{kind}: the kernel refuses to create it: {' '.join(str(e).split())}") from None

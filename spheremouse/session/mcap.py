@@ -332,16 +332,19 @@ def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
 
 
 def _disc(direction: Array, radius: float, disc_radius: float) -> Any:
-    """Return a flat cylinder that covers the cap of a disc at a unit vector in ball axes."""
+    """Return a flat cylinder in ball axes, m, that hides the cap of a disc: from its rim to just above its middle.
+
+    `direction` is the unit vector to the disc's middle. `disc_radius` is along the surface.
+    """
     m = _messages()
-    inner = np.sqrt(max(radius**2 - disc_radius**2, 0.0))
+    rim_radius, inner = radius * np.sin(disc_radius / radius), radius * np.cos(disc_radius / radius)
     height = (1.0 + _DISC_GAP_RADII) * radius - inner
     x = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     x /= np.linalg.norm(x)
     rotation = np.array([x, np.cross(direction, x), direction], dtype=float).T
     return m.CylinderPrimitive(
         pose=_pose((inner + 0.5 * height) * direction, rotation),
-        size=m.Vector3(x=2.0 * disc_radius, y=2.0 * disc_radius, z=height),
+        size=m.Vector3(x=2.0 * rim_radius, y=2.0 * rim_radius, z=height),
         bottom_scale=1.0,
         top_scale=1.0,
         color=_colour("disc"),

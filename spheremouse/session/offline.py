@@ -114,13 +114,18 @@ def smoothed(tracked: Iterable[FrameResult], adapter: TrackerAdapter, settings: 
 
 
 def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sample]:
-    """Return the samples with estimates given all of them. Raise ConfigurationError without their observations."""
+    """Return the samples with smoothed estimates, each of which uses all samples, also the later ones.
+
+    Status, motion and covariances of a sample are those of its estimate. The results have no observations, so they
+    cannot be smoothed again. `settings` are those of the tracking. Raises ConfigurationError for a sample without an
+    observation.
+    """
     samples, observations = list(samples), []
     for sample in samples:
         if sample.observation is None:
             raise ConfigurationError(
                 f"smooth: the sample of frame {sample.sequence} has no observation",
-                "only samples of `track` can be smoothed, of a ball in its frame and by tracker so3",
+                "give samples as `track` yields them, by tracker so3, and not of a ball in a hand",
             )
         observations.append(sample.observation)
     estimates = smooth(observations, settings)

@@ -224,15 +224,19 @@ class Daemon:
             arrival.raw.release()
 
     def _publish(self, made: FrameResult, taken: float) -> None:
-        """Pass the result of a frame to all subscribers, the outputs first: their threads wake meanwhile."""
+        """Pass the result of a frame on, to the outputs first: their threads send while this one goes on.
+
+        `taken` is the frame's mid-exposure, s of time.monotonic. The latency of the samples ends here; that of the
+        status ends when the output has sent.
+        """
         latency = time.monotonic() - taken
         wall = time.time() - latency
         samples = tuple(replace(sample, wall=wall, latency=latency) for sample in made.samples)
         report = report_of(samples, self.adapter.mapping, made.pointing)
-        # if the output works again since the last update of the state, the next frame is the first one for it
+        # `_work` has just updated a state that is not TRACKING. An output that fails later counts its frames as unsent.
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         self._outputs.submit(report, taken, wanted=wanted)
-        # These two need the frame's image, whose buffer is released soon, so they do not subscribe to reports.
+        # Archive and view get the image, too, whose buffer is released after this.
         self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
         self._endpoints.submit(report)

@@ -44,7 +44,7 @@ class _Description(NamedTuple):
 
 
 class DaemonLink:
-    """The daemon at `socket`, or the one that `Client` finds. All methods are called in the event loop.
+    """The link to the daemon at `socket`, or to the one that `Client` finds. All methods are called in the event loop.
 
     A thread reads the events. It stores samples itself, since 60 a second would wake the loop too often.
     """
@@ -121,16 +121,18 @@ class DaemonLink:
         return await asyncio.to_thread(self._ask, command, arguments)
 
     async def set(self, values: Values, gesture: str) -> Message:
-        """Change settings, and return the daemon's reply. All changes of a gesture are one step of undo.
+        """Change settings, and return the daemon's reply. It has `values`, the old and the new value of each key.
 
-        Raises ControlError if the daemon refuses or does not answer.
+        `gesture` is an id. Successive changes with the same id, as of a slider, are one step of undo, to the first old
+        values. Without a change there is no step. Raises ControlError if the daemon refuses or does not answer.
         """
         async with self._setting:
             reply = await self._change(values)
-            before = {key: old for key, (old, _) in reply.get("values", {}).items()}
-            if self._undo and self._undo[-1][0] == gesture:
+            before = {key: old for key, (old, new) in reply.get("values", {}).items() if old != new}
+            if before and self._undo and self._undo[-1][0] == gesture:
                 before |= self._undo.pop()[1]
-            self._undo.append((gesture, before))
+            if before:
+                self._undo.append((gesture, before))
             self._update({key: new for key, (_, new) in reply.get("values", {}).items()})
         return reply
 

@@ -74,7 +74,9 @@ _EVIDENCE_DECAY = 3.0  # s, of a lost ball's evidence: it can return farther awa
 _EVIDENCE_GAIN = 0.2  # the evidence follows the ball's rotation within five frames
 _FRACTION_WITHOUT_PEAKS = 0.1  # fraction of the particles drawn without the peaks
 _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area to a tenth
-_PREDICTED_POSES = 48  # predicted particles from which peaks are refined
+_PREDICTED_POSES = 48  # predicted particles that are tried
+_REFINED_PREDICTIONS = 2  # best predicted poses that are refined to peaks
+_REFINED_HYPOTHESES = 6  # best poses by spots that are refined to peaks
 _REPORT_AGE = 1.0 - 1e-6  # of a colour problem: the parts of a second that frames add up to are inexact
 _KNOWN_POSE_COVARIANCE = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)  # m², rad²
 
@@ -284,7 +286,11 @@ def _weighted_as(particles: Particles, peaks: PeakMixture, nearest: NDArray[np.i
 def _modes_near_prediction(
     track: Track, motions: MotionMixture, fields: Fields, context: SearchContext, rng: np.random.Generator
 ) -> Modes:
-    """Return reachable peaks near predicted poses, and near spots if the former are doubtful."""
+    """Return the peaks of the likelihood near predicted poses that `_gate` accepts, the best one first; perhaps none.
+
+    The predictions are one pose for each motion, and particles of the track. If the best peak is doubtful, the peaks
+    that start from the spots of the region are added, which takes longer.
+    """
     assert track.particles is not None
     assert track.pose is not None
     ahead = move(resample(track.particles, _PREDICTED_POSES, rng), motions, rng)
@@ -292,14 +298,14 @@ def _modes_near_prediction(
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
     sufficient = _SUFFICIENT_EVIDENCE * track.evidence
-    modes = refine_modes(position, rotation, 2, context, fields, sufficient=sufficient)
+    modes = refine_modes(position, rotation, _REFINED_PREDICTIONS, context, fields, sufficient=sufficient)
     modes = _gate(modes, track, motions, context)
     if (
         not is_ball(modes, context.tracker.settings, track.evidence)
         or modes.match[0] < CERTAIN_MATCH
         or modes.log_likelihood[0] < _DOUBTFUL_EVIDENCE * track.evidence
     ):
-        near = _gate(modes_from_spots(context, fields, 6), track, motions, context)
+        near = _gate(modes_from_spots(context, fields, _REFINED_HYPOTHESES), track, motions, context)
         modes = merge_modes(modes, near, context.ball.radius)
     return modes
 

@@ -5,6 +5,7 @@ import os
 
 import pytest
 
+from spheremouse.errors import ConfigurationError
 from spheremouse.files.figures import read_figures
 from spheremouse.files.listing import list_recordings
 
@@ -81,6 +82,14 @@ def test_nonsense_beside_a_calibrated_file_is_refused_with_a_reason_in_one_line(
 
 def test_a_missing_folder_has_none(tmp_path):
     assert read_figures([tmp_path / "none"]) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every folder")
+def test_a_folder_that_may_not_be_read_is_an_error(tmp_path):
+    folder = tmp_path / "closed"
+    folder.mkdir(mode=0o300)
+    with pytest.raises(ConfigurationError, match="closed: cannot be read"):
+        read_figures([folder])
 
 
 def recording(folder, name, age=0.0, scene=None, truth=False):

@@ -96,6 +96,8 @@ def sysfs(tmp_path):
         (folder / "name").write_text(name + "\n")
         (folder / "capabilities" / "rel").write_text(bits + "\n")
     (tmp_path / "event4").mkdir()  # gone meanwhile
+    (tmp_path / "event5/device/capabilities").mkdir(parents=True)
+    (tmp_path / "event5/device/capabilities/rel").touch()  # empty
     return tmp_path
 
 

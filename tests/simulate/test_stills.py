@@ -269,7 +269,7 @@ def test_nothing_that_is_there_is_lost(tmp_path):
     there.mkdir()
     (there / "letter.txt").write_text("dear")
     for force in (False, True):
-        with pytest.raises(CalibrationError, match=r"set: (is not empty; name another|holds letter.txt, which is no)"):
+        with pytest.raises(CalibrationError, match=r"set: holds letter\.txt, which is no"):
             little(there, force=force)
     assert [p.name for p in there.iterdir()] == ["letter.txt"]
     real = tmp_path / "real"

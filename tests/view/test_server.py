@@ -173,6 +173,7 @@ def test_a_change_reaches_the_daemon_and_every_browser_and_a_gesture_is_one_step
         assert value() == ["motion.scale_x=3.0"]
         message = other.until("values", lambda m: m["values"].get("motion.scale_x") == 3.0)
         assert message["undo"] == 1
+        assert one.ask("set", values={"motion.scale_x": 3.0}, gesture="nothing new")["type"] == "done"
         other.until("values", lambda m: m["unsaved"] == ["motion.scale_x"])
         world.client.ask("set", assignments=["motion.scale_y=4"])
         other.until("values", lambda m: m["values"].get("motion.scale_y") == 4.0)

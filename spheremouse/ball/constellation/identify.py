@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.native import kernels
 
+_SHARED_GROUP_SIZE = 6  # directions of a group of `shared_rotation`, within which pairs are formed
+_MAX_SHARED_HYPOTHESES = 20_000  # of `shared_rotation`; further ones are not tried
+
 
 @dataclass(frozen=True, slots=True)
 class IdentificationPrior:
@@ -122,11 +125,13 @@ def posterior_error(
 
 
 def shared_rotation(before: Array, after: Array, sigma: float) -> tuple[Array, int]:
-    """Return the rotation, (3, 3), of most directions of `before`, (m, 3), to `after`, (n, 3), and their number.
+    """Return the rotation R, (3, 3), with which most directions match, after = R before, and their number.
 
-    Among equal numbers the smallest rotation wins. `sigma` is rad per axis. Directions match within 5.25 sigma, which
-    includes the error of the two that gave the rotation.
+    `before` (m, 3) and `after` (n, 3) are unit vectors, and `sigma` is rad per axis of one direction. Each hypothesis
+    comes from a pair of both with the same angle. Directions match within 5.25 sigma, which includes the error of the
+    pair. Among equal numbers the smallest rotation wins. Without a hypothesis the result is the identity and 0.
     """
-    tolerance = 3.5 * math.sqrt(2.0) * sigma
-    hypotheses = kernels.Hypotheses(after, before, max(1, len(after) // 6), tolerance, 20_000)
+    tolerance = 3.5 * math.sqrt(2.0) * sigma  # of the angle between two directions
+    groups = max(1, len(after) // _SHARED_GROUP_SIZE)
+    hypotheses = kernels.Hypotheses(after, before, groups, tolerance, _MAX_SHARED_HYPOTHESES)
     return hypotheses.most_common(math.cos(5.25 * sigma))

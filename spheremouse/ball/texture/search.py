@@ -135,7 +135,7 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array | None,
 
     For a ball that is `lost`, this includes a part of all attitudes. `attitude` is None if nothing is known of it.
     """
-    for start in _starts(detector, now, attitude, lost):
+    for start in _start_attitudes(detector, now, attitude, lost):
         rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
         if not rough.correlation > LEAST_CORRELATION:
             continue
@@ -151,8 +151,14 @@ def fits(alignment: Alignment) -> bool:
     return alignment.converged and alignment.correlation > LEAST_CORRELATION and bool(significance > _SIGNIFICANT)
 
 
-def _starts(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Iterator[Array]:
-    """Yield attitudes from which an alignment may succeed: near one, farther away, and for a lost ball anywhere."""
+def _start_attitudes(
+    detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool
+) -> Iterator[Array]:
+    """Yield attitudes, R_obj_ball (3, 3), from which an alignment may succeed, the likely ones first.
+
+    They are the predicted `attitude`, the best ones near it, and the best ones farther away. For a `lost` ball follow
+    the best of a part of all attitudes. If `attitude` is None, and the ball is not lost, there are none.
+    """
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
     if attitude is not None:
         yield attitude

@@ -78,7 +78,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         part = bundle.only(used)
         variance_sigma, x[unknowns_of(used)] = _with_variances(part, x[unknowns_of(used)])
         limit = _MAX_RESIDUAL_RATIO * max(float(np.median(variance_sigma)), MIN_SIGMA)
-        sigma = _all_sigmas(bundle, x, used, variance_sigma)
+        sigma = _sigmas_and_poses(bundle, x, used, variance_sigma)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
         accepted = used | (sigma <= limit)  # a view that only the coarse start rejected
         if sigma[worst] > limit and used.sum() > MIN_VIEWS:
@@ -183,8 +183,13 @@ def _with_variances(bundle: Bundle, x: Array) -> tuple[Array, Array]:
     return sigma, x
 
 
-def _all_sigmas(bundle: Bundle, x: Array, used: NDArray[np.bool_], own_sigma: Array) -> Array:
-    """Standard deviation of a corner's coordinate in each view, (v,) px; sets the unused views' poses in x."""
+def _sigmas_and_poses(bundle: Bundle, x: Array, used: NDArray[np.bool_], own_sigma: Array) -> Array:
+    """Return the standard deviation of a corner's coordinate in each view, (v,) px, and set missing poses in x.
+
+    x (9 + 6v,) are the unknowns of a `Bundle`. `own_sigma` has the standard deviations of the `used` views, (v,), in
+    their order. The others are resected with the camera of x: their poses go into x, their standard deviations follow
+    from their residuals.
+    """
     sigma = np.empty(len(bundle.views))
     sigma[used] = own_sigma
     left_out = np.flatnonzero(~used)
@@ -240,7 +245,7 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
     covariance[np.ix_(is_open, is_open)] = widening * _estimated_weights(N, part.counts) * factor * Q
     _into_cam(covariance, y)
     x[columns] = y
-    _all_sigmas(bundle, x, used, sigma[used])
+    _sigmas_and_poses(bundle, x, used, sigma[used])
     camera = replace(camera_of(x, bundle.size), covariance=covariance[:9, :9].copy())
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     residuals, sigma = bundle.residuals(x), sigma * np.sqrt(factor)

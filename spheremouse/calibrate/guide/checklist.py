@@ -83,7 +83,7 @@ def _steps(folder: Path, services: Sequence[Path]) -> Iterator[Step]:
     device = cabinet.read_photo_folder(folder / cabinet.DEVICE, folder / CAMERA_FILE if have_camera else None)
     rolling = (("Without photos of the device, roll the ball for a minute:", cabinet.rolling_command(folder)),)
     yield _folder_step(folder, have_rig)
-    yield _print_step(folder, bool(board.photos) or have_camera or have_rig)
+    yield _pages_step(folder, bool(board.photos) or have_camera or have_rig)
     yield _board_step(folder, board, have_camera or have_rig, camera)
     yield _camera_step(folder, camera, board, have_rig)
     yield _device_file_step(folder, have_rig, rolling)
@@ -98,8 +98,8 @@ def _steps(folder: Path, services: Sequence[Path]) -> Iterator[Step]:
         yield _service_step(folder, services)
 
 
-def _open(overtaken: bool) -> State:
-    """Return the state of a step that is not done."""
+def _open_state(overtaken: bool) -> State:
+    """Return the state of a step that is not done, and that a later file has `overtaken` or not."""
     return "not needed" if overtaken else "next"
 
 
@@ -111,11 +111,15 @@ def _folder_step(folder: Path, overtaken: bool) -> Step:
         todo = ("Make a folder for all files of this device:",)
         return Step("folder", "next", f"{folder}: no such folder", todo, make)
     todo = ("Add the file that describes the device; existing files stay:",)
-    return Step("folder", _open(overtaken), f"{folder}, without {DEVICE_FILE}", todo, make)
+    return Step("folder", _open_state(overtaken), f"{folder}, without {DEVICE_FILE}", todo, make)
 
 
-def _print_step(folder: Path, overtaken: bool) -> Step:
-    if pages := [place for place in (folder, folder / "print", PRINTED) if (place / BOARD_FILE).is_file()]:
+def _pages_step(folder: Path, overtaken: bool) -> Step:
+    """Return the step of making the pages to print. It is done if a board file shows that they were made.
+
+    A board file in `folder` itself is that of the photos. A folder that this account may not enter has no pages.
+    """
+    if pages := [place for place in (folder, folder / "print", PRINTED) if os.path.isfile(place / BOARD_FILE)]:
         found = f"the board in {folder / BOARD_FILE}" if pages[0] == folder else f"pages in {pages[0]}"
         return Step("print", "done", found)
     todo = ("Make the pages: ring targets, discs, two boards, and the instructions:",)
@@ -124,14 +128,14 @@ def _print_step(folder: Path, overtaken: bool) -> Step:
         "stiff. Measure a whole row of its squares, and divide: that is the square size."
     )
     command = cabinet.calibrate_command("print", "--out", folder / "print")
-    return Step("print", _open(overtaken), "no pages yet", todo, command, ((after, ""),))
+    return Step("print", _open_state(overtaken), "no pages yet", todo, command, ((after, ""),))
 
 
 def _board_step(folder: Path, board: Photos, overtaken: bool, camera: Result | None) -> Step:
     name, n = "photos of the board", len(board.photos)
     take = cabinet.photos_command(folder, "camera")
     if board.problem:
-        return Step(name, _open(overtaken), board.found, board.problem)
+        return Step(name, _open_state(overtaken), board.found, board.problem)
     left_out = camera.hashes("left_out") if camera else frozenset()
     good = sum(p.sha256 not in left_out for p in board.photos)
     if n and overtaken and good < BOARD_ENOUGH:
@@ -141,7 +145,7 @@ def _board_step(folder: Path, board: Photos, overtaken: bool, camera: Result | N
         return Step(name, "done", board.found)
     if n < 3:
         own = ((f"Or put {_BOARD_NUMBER} sharp photos of the whole board into {board.folder}.", ""),)
-        return Step(name, _open(overtaken), board.found, _TAKE_BOARD, take, own)
+        return Step(name, _open_state(overtaken), board.found, _TAKE_BOARD, take, own)
     so_far = (f"{n} so far, of {_BOARD_NUMBER} sharp ones with the whole board in each. Go on:",)
     return Step(name, "next", board.found, so_far, take, ((_USE_THESE, cabinet.camera_command(folder)),))
 
@@ -150,7 +154,7 @@ def _camera_step(folder: Path, camera: Result | None, board: Photos, overtaken: 
     if camera is None:
         todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
         more = ((_MORE, cabinet.photos_command(folder, "camera")),) if board.photos else ()
-        return Step(CAMERA_FILE, _open(overtaken), "not there yet", todo, cabinet.camera_command(folder), more)
+        return Step(CAMERA_FILE, _open_state(overtaken), "not there yet", todo, cabinet.camera_command(folder), more)
     command = cabinet.camera_command(folder, options_from_provenance(camera.provenance), again=True)
     return _made_step(camera, camera.changes(board.photos), "camera", command)
 
@@ -168,7 +172,7 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: Otherwise) -> St
     path = folder / DEVICE_FILE
     if not path.exists():
         todo = ("It describes the device:",)
-        return Step(DEVICE_FILE, _open(overtaken), "not there yet", todo, cabinet.init_command(folder))
+        return Step(DEVICE_FILE, _open_state(overtaken), "not there yet", todo, cabinet.init_command(folder))
     try:
         device = load_device(path)
     except ConfigurationError as e:
@@ -180,7 +184,7 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: Otherwise) -> St
             f"Open {path} in an editor. Enter codes, sizes, and distances between targets, measured by tape.",
             f"Then delete its first line ({UNTOUCHED.partition(':')[0]} ...).",
         )
-        return Step(DEVICE_FILE, _open(overtaken), "not filled in yet", todo, otherwise=otherwise)
+        return Step(DEVICE_FILE, _open_state(overtaken), "not filled in yet", todo, otherwise=otherwise)
     n = len(device.distances)
     measured = count(n, "distance") if n else "no distances: the scale is free"
     return Step(DEVICE_FILE, "done", f"{len(device.ids)} targets, {measured}")
@@ -189,13 +193,13 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: Otherwise) -> St
 def _device_step(folder: Path, photos: Photos, overtaken: bool, otherwise: Otherwise) -> Step:
     name, n = "photos of the device", len(photos.photos)
     if photos.problem:
-        return Step(name, _open(overtaken), photos.found, photos.problem, otherwise=otherwise)
+        return Step(name, _open_state(overtaken), photos.found, photos.problem, otherwise=otherwise)
     if n >= DEVICE_ENOUGH or (n and overtaken):
         return Step(name, "done", photos.found)
     take = cabinet.photos_command(folder, "device")
     if n < 2:
         own = f"Or put {_DEVICE_NUMBER} sharp photos into {photos.folder}."
-        return Step(name, _open(overtaken), photos.found, _TAKE_DEVICE, take, ((own, ""), *otherwise))
+        return Step(name, _open_state(overtaken), photos.found, _TAKE_DEVICE, take, ((own, ""), *otherwise))
     so_far = (f"{n} so far, of {_DEVICE_NUMBER}: from the front, both sides, above and below. Go on:",)
     return Step(name, "next", photos.found, so_far, take, ((_USE_THESE, cabinet.device_command(folder)),))
 

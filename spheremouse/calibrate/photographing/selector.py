@@ -27,7 +27,7 @@ S = TypeVar("S")  # detections in a frame
 class FrameCheck(Generic[S]):
     seen: S
     words: str  # for the person before the camera: contents, and the hindrance
-    gain: str = ""  # new contents; empty if the frame becomes no photo
+    gain: str = ""  # what the photo adds, in words; empty if the frame becomes no photo
 
 
 class Selector(ABC, Generic[S]):

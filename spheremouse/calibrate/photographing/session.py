@@ -68,7 +68,10 @@ class Screen:
         print(text)
 
     def show(self, selector: Selector, check: FrameCheck, picture: Image) -> None:
-        """Show the last frame in words; without a terminal print a new instruction only."""
+        """Show progress, the check of the last frame and the next instruction, in a terminal.
+
+        Elsewhere print the next instruction after each photo that changes it. Only `JsonScreen` shows the `picture`.
+        """
         wanted = selector.wanted()
         if self._live is not None:
             text = Text("\n".join(selector.status()) + "\n")
@@ -79,7 +82,7 @@ class Screen:
             self._live.update(text)
         elif check.gain and wanted and wanted[0] != self._wanted:
             self._wanted = wanted[0]
-            self.print(f"wanted: {wanted[0]}")
+            self.print(f"Next: {wanted[0]}")
 
     def taken(self, path: Path, selector: Selector, check: FrameCheck) -> None:
         """Report a new photo."""

@@ -34,8 +34,8 @@ _TURN_SECONDS = 0.3  # over which a rotation is taken during a gesture
 _MIN_RATE = 0.1  # rad/s; slower rotations have no direction
 _MAX_OFF_SQUARE = 20.0  # degrees of two gestures from a right angle
 _GESTURE_SIGMA = np.deg2rad(3.0)  # accuracy of a person's straight roll of the ball
-_SIZE_SIGMA = 0.005, 0.002  # relative, of printed rings: of all alike, and of each
-_RADIUS_SIGMA = 0.05, 0.02  # px, of a ring's image: of all alike, as colours run, and of each
+_SIZE_SIGMA = 0.005, 0.002  # relative, of printed rings: common to all, and of each alone
+_RADIUS_SIGMA = 0.05, 0.02  # px, of a ring's image: common to all, as colours run, and of each alone
 _CENTRE_SIGMA = 0.05  # px
 
 
@@ -247,10 +247,13 @@ def _gesture_axis(rolling: Rolling, span: tuple[float, float], name: str) -> tup
 
 
 def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
-    """Find the axes by targets of known size: the size of each image gives its distance.
+    """Find the axes of `obj` in the camera, R_obj_cam, and the places of ring targets in `cam` from one view.
 
-    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Tape distances improve them. The
-    covariance includes that of the lens. Raises CalibrationError if one of the three targets of the axes is not seen.
+    The size of a target's image gives its distance, since the device file has the size of its outer ring. `sightings`
+    are code, centre (2,) px and radius px of that ring; for an ellipse it is the geometric mean of the half-axes. Tape
+    distances between targets improve the places. A distance that contradicts them enlarges the covariance, but is not
+    rejected. The covariance includes that of the lens, which the results have separately, too. Raises CalibrationError
+    if one of the three targets that define the axes is not seen.
     """
     ids, uv, size = _seen(sightings, device)
     n, at = len(ids), {i: k for k, i in enumerate(ids)}
@@ -284,7 +287,12 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     joint = own + by_lens @ by_lens.T
     codes = tuple(code for i, code in zip(device.ids, device.codes, strict=True) if i in at)
     four = np.eye(4)[:, :3]  # rings give no distance of the ball
-    parts = Parts(four @ own[-3:, -3:] @ four.T, np.zeros((4, 3)), four @ by_lens[-3:], np.zeros((3 * n, 4)))
+    parts = Parts(
+        own=four @ own[-3:, -3:] @ four.T,
+        by_direction=np.zeros((4, 3)),
+        by_lens=four @ by_lens[-3:],
+        with_targets=np.zeros((3 * n, 4)),
+    )
     return Axes(R, joint[-3:, -3:], targets=MeasuredTargets(codes, places, joint, by_lens), parts=parts)
 
 

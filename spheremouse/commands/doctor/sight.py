@@ -188,24 +188,28 @@ def brightness(
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
-    """Report the number of disc candidates in the median view, and their contrast."""
+    """Report the median number of disc candidates in a view, and the median contrast of all.
+
+    If most views show none, report the cause in the view with the fewest. Contrast does not change the verdict: the
+    detector has left out weaker discs. It is missing if all discs are at the border of the picture.
+    """
     found = [seen.detector.detect(v.image) for v in views]
     counts = [len(d) for d in found]
     count = int(np.median(counts))
     contrasts = np.concatenate([contrast(v.image, d, seen.projection) for v, d in zip(views, found, strict=True)])
     numbers: dict[str, Any] = {"seen": count, "least": min(counts), "most": max(counts)}
     if count == 0:
-        absence = why_no_disc(views[0].image, seen.rig, seen.pose, settings)
+        absence = why_no_disc(views[int(np.argmin(counts))].image, seen.rig, seen.pose, settings)
         problem, hint = why_absent(absence)
         return wrong("discs", f"none is seen on the ball: {problem}", hint, **numbers, cause=str(absence.cause))
     text = f"{count} seen"
     if len(contrasts):
         strength = float(np.median(contrasts))
         numbers["contrast"] = round(strength, 3)
-        text += f", contrast {strength:.2f} (print has 0.8; {settings.contrast:g} is the least)"
+        text += f", contrast {strength:.2f} (black print has 0.8; {settings.contrast:g} is the least that counts)"
     few = ": fewer than three, nothing checks the attitude"
     return classify(
-        "discs", text, (count < _MIN_DISCS, Verdict.WARNING, few, "uncover the ball, or more discs"), **numbers
+        "discs", text, (count < _MIN_DISCS, Verdict.WARNING, few, "uncover the ball, or add discs"), **numbers
     )
 
 

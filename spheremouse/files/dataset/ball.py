@@ -86,7 +86,7 @@ def open_dataset(path: Path | str) -> Recording:
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
     stamps = read_stamps(path, scene.frames)
-    rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _rig(scene)
+    rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)
     directions = None
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
@@ -128,8 +128,12 @@ def _read_scene(document: Document) -> _Scene:
     return scene
 
 
-def _rig(scene: _Scene) -> Rig:
-    """Return the rig by the keys without `truth_`."""
+def _described_rig(scene: _Scene) -> Rig:
+    """Return the rig of a scene.json, of which a tracker does not see the keys that begin with `truth_`.
+
+    The places of the targets are exact, (n, 3) m in `obj`. Without `readout_s` the readout is unknown, and without
+    `T_obj_cam` the camera's pose.
+    """
     n = len(scene.targets)
     targets = Targets(
         ids=tuple(t.id for t in scene.targets),
@@ -139,7 +143,7 @@ def _rig(scene: _Scene) -> Rig:
         radii=np.array(scene.target_radii if scene.target_radii is not None else (0.0, 0.0, 0.0), dtype=float),
     )
     return Rig(
-        camera=scene.orientation(scene.camera),
+        camera=scene.interior_orientation(scene.camera),
         ball=Ball(scene.ball.radius),
         targets=targets,
         disc_radius=scene.disc_radius,

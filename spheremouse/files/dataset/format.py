@@ -67,7 +67,7 @@ class SceneEntry(Entry):
     frames: Annotated[int, Field(gt=0, le=MOST_FRAMES)]
     exposure_s: Annotated[float, Field(ge=0)] = 0.0
 
-    def orientation(self, camera: CameraEntry) -> InteriorOrientation:
+    def interior_orientation(self, camera: CameraEntry) -> InteriorOrientation:
         """Return the interior orientation of a camera with this size."""
         c = camera
         return InteriorOrientation(self.width, self.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist, dtype=float))

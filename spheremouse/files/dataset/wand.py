@@ -104,7 +104,7 @@ def open_wand(path: Path | str) -> WandRecording:
     return WandRecording(
         path=path,
         name=scene.name or path.name,
-        camera=scene.orientation(scene.camera),
+        camera=scene.interior_orientation(scene.camera),
         balls=tuple(_ball(path / "scene.json", wand) for wand in wands),
         fps=scene.fps,
         frames=scene.frames,

@@ -202,16 +202,19 @@ def refuse_to_overwrite(
     what: str = "a dataset",
     error: type[SpheremouseError] = DatasetError,
 ) -> None:
-    """Raise `error` if `path` exists and may not be replaced, or has other than the `parts` of a dataset."""
+    """Raise `error` if `path` is a file, has files other than the `parts`, or has any and you may not `replace` them.
+
+    An empty folder passes. `what` names the whole in messages.
+    """
     if not path.exists():
         return
     if not path.is_dir():
         raise error(f"{path}: is a file; name a folder to write to")
     content = {p.name for p in path.iterdir()}
+    if odd := sorted(content - set(parts)):  # first, since --force does not replace these
+        raise error(f"{path}: holds {odd[0]}, which is no part of {what}; it will not be replaced, name another folder")
     if content and not replace:
         raise error(f"{path}: is not empty; name another folder or use --force to replace it")
-    if odd := sorted(content - set(parts)):
-        raise error(f"{path}: holds {odd[0]}, which is no part of {what}; it will not be replaced")
 
 
 def _rate(stamps: list[float]) -> float:

@@ -30,14 +30,15 @@ _VARIABLES = {
 
 
 @contextmanager
-def styled(*over: str | Mapping[str, Any]) -> Iterator[None]:
-    """Use the light style for figures that are made and saved in this block, with others ("dark") or rcParams over it.
+def styled(*overrides: str | Mapping[str, Any]) -> Iterator[None]:
+    """Use the light style of this package for figures that are made and saved in this block.
 
-    Nothing of a user's matplotlibrc.
+    `overrides` are names of further styles of this package ("dark"), or rcParams. Of several, the last one wins. Styles
+    of a user's matplotlibrc have no effect.
     """
     from matplotlib import style
 
-    sheets = [f"{__package__}.{s}" if isinstance(s, str) else s for s in ("light", *over)]
+    sheets = [f"{__package__}.{s}" if isinstance(s, str) else s for s in ("light", *overrides)]
     with style.context(["default", *sheets]):  # type: ignore[list-item]
         yield
 

@@ -299,9 +299,16 @@ class Link:
         self._hello_time = now
 
     def _on_identity(self, identity: Identity, now: float) -> None:
+        """Begin the session that was requested, unless the answer is to an older request.
+
+        The device's counters confirm what arrived in the last session. If it was started again, or another host has
+        used it, they are lost, so all sent counts are taken for confirmed. If it accepted no MOTION of the last
+        session, those counts are sent again. Counts that have waited for more than `_MAX_DELAY` are dropped. All
+        counters of this session begin at 0.
+        """
         if self.running or not self._session or identity.session != self._session:
             return
-        previous, before = self.identity, self.confirmed
+        previous, before = self.identity, list(self.confirmed)
         if previous is not None and identity.last == previous.session:
             self._confirm(identity.counters)
         elif previous is not None and (identity.first, identity.last) != (previous.first, previous.last):

@@ -112,7 +112,11 @@ def motion(number: int, counters: Sequence[int], buttons: int) -> bytes:
 
 
 def decode(coded: bytes) -> Frame | None:
-    """Return the frame between two 0x00; None if it is damaged. A frame of another version may have any length."""
+    """Return the frame of the bytes between two 0x00; None if it is damaged.
+
+    A frame of this version is damaged also if its type is unknown or its body has another length. One of another
+    version may have any type, and any length up to the maximum. `Splitter` passes on no empty piece.
+    """
     try:
         content = cobs.decode(coded)
     except cobs.DecodeError:

@@ -161,9 +161,10 @@ class BallAdapter(TrackerAdapter):
         return self.state is None or wants_colour(self.state, stamp)
 
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Search the targets until the camera's pose is known, and return None. Then track the frame.
+        """Track a frame. While the camera's pose is unknown, search the frame for targets instead, and return None.
 
-        Raises SourceError if the frame has another size than the camera.
+        The frame that gives the pose is not tracked either. Raises SourceError if the frame has another size than the
+        camera.
         """
         check_size(frame, self.rig.camera)
         if self._tracker is None:

@@ -110,9 +110,11 @@ class PoseRecovery:
         self._tracker: Tracker | None = None  # in use when the search began
 
     def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
-        """Start `seek_by_colour`, unless a search runs. Return its result if it is there at once, else None.
+        """Start a search of a frame, unless one runs or its result waits. Return the result if it is complete at once.
 
-        Otherwise `found` returns the pose later.
+        That is so if `elsewhere` works in the caller's thread. Otherwise return None, and `found` returns the pose in a
+        later frame. The result is None also if the search finds nothing. The search keeps a copy of the image, since
+        the camera uses its buffer again; a tracker never changes.
         """
         if not self._search.idle:
             return None

@@ -52,16 +52,18 @@ def find_socket() -> Path:
 
 
 def candidates() -> Iterator[Path]:
-    """Yield the paths where a daemon's socket may be: in $RUNTIME_DIRECTORY, the user's folder and the system's.
+    """Yield the paths at which a client looks for a daemon's socket. No file needs to exist there.
 
-    The first is there if the variable is set, the second unless another user made that folder.
+    They are in $RUNTIME_DIRECTORY if that is set, in the user's folder, and in the system's. The user's folder is in
+    $XDG_RUNTIME_DIR, which is trusted. Without that it is in /tmp, and left out if another user made it.
     """
     given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:  # the service started us, for example to reload it
         yield Path(given) / SOCKET
     own = _own_folder()
-    if os.environ.get("XDG_RUNTIME_DIR") or not own.exists() or _is_ours(own):
-        yield own / SOCKET  # not if another user made it in /tmp
+    made_by_another = os.path.lexists(own) and not _is_ours(own)
+    if os.environ.get("XDG_RUNTIME_DIR") or not made_by_another:
+        yield own / SOCKET
     yield _SYSTEM / SOCKET
 
 
@@ -124,9 +126,11 @@ def peer_of(connection: socket.socket) -> Peer | None:
 
 @contextlib.contextmanager
 def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
-    """Listen at `path`, for this user and root, and for the members of `group`. The end removes the socket.
+    """Listen at `path`, for this user and root, and for the members of `group`, until the block ends.
 
-    The lock file beside it stays: another daemon may be opening it. The kernel releases the lock with the process.
+    A lock file beside the socket makes sure that one daemon listens there. It stays when the socket is removed, because
+    another daemon may be opening it; the kernel releases the lock with the process. Raises ControlError for a path that
+    is too long, an unsafe or closed folder, another daemon, or an unknown group.
     """
     gid = None if group is None else _group_id(group)
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as listener, _lock(path):
@@ -135,17 +139,13 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
             listener.bind(str(path))
             try:  # no client can connect before `listen`, so the mode is never too wide
                 if gid is not None and path.stat().st_gid != gid:
-                    os.chown(path, -1, gid, follow_symlinks=False)
+                    _give_to_group(path, gid, group)
                 path.chmod(0o600 if gid is None else 0o660)
                 listener.listen(BACKLOG)
             except BaseException:
                 path.unlink(missing_ok=True)
                 raise
         except OSError as e:
-            if isinstance(e, PermissionError) and group is not None:
-                raise ControlError(
-                    f"control.group {group}: the daemon's user may not give the socket to it; make it a member"
-                ) from None
             raise ControlError(f"{path}: no socket can be made here ({e.strerror or e}); set control.socket") from None
         identity = path.lstat()
         try:
@@ -155,6 +155,16 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
             with contextlib.suppress(OSError):
                 if os.path.samestat(identity, path.lstat()):
                     path.unlink()
+
+
+def _give_to_group(path: Path, gid: int, group: str | None) -> None:
+    try:
+        os.chown(path, -1, gid, follow_symlinks=False)
+    except PermissionError:
+        raise ControlError(
+            f"control.group {group}: the daemon's user is no member, so it may not give the socket to this group; make "
+            "the user a member"
+        ) from None
 
 
 @contextlib.contextmanager

@@ -98,15 +98,18 @@ def facing(scene: Scene, attitude: Array) -> int:
 
 
 def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
-    """Move a disc by `angle` rad to the side with most room. Raise ValueError if there is no room."""
+    """Return the scene with the disc of an index moved by `angle` rad, to the side where the nearest disc is farthest.
+
+    Raises ValueError if the centres of the two would be less than 2.5 radii of a disc apart. Fallen discs do not count.
+    """
     old = scene.disc_directions[disc]
     phase = np.linspace(0.0, 2.0 * np.pi, _CANDIDATE_PLACES, endpoint=False)
     around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ tangent_basis(old[None])[0].T
     places = np.cos(angle) * old + np.sin(angle) * around
     others = [k for k in range(len(scene.disc_directions)) if k != disc and k not in scene.fallen]
-    nearest = np.max(places @ scene.disc_directions[others].T, axis=1, initial=-1.0)
-    best = int(np.argmin(nearest))
-    if nearest[best] > np.cos(2.5 * scene.disc_angle):
+    nearest_cosine = np.max(places @ scene.disc_directions[others].T, axis=1, initial=-1.0)
+    best = int(np.argmin(nearest_cosine))
+    if nearest_cosine[best] > np.cos(2.5 * scene.disc_angle):
         raise ValueError("no room on the ball to move a disc to")
     directions = scene.disc_directions.copy()
     directions[disc] = places[best]

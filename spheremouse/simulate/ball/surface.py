@@ -129,7 +129,7 @@ class Surface:
             row, column, disc = self._near_discs(turned)
             toward, v = turned[disc], row + self._low[1]
         else:
-            row, column, disc = self._near_discs(self._directions(attitude_at, t, directions)[0])
+            row, column, disc = self._near_discs(self._directions_by_row(attitude_at, t, directions)[0])
             v = row + self._low[1]
             toward = (R[v] @ directions[disc, :, None])[..., 0]
         ray, dray = self._ray[row, column], self._dray[row, column]
@@ -212,14 +212,18 @@ class Surface:
         slope = np.einsum("ki,kij->kj", slide, dray) * (hits.depth / self.scene.ball_radius)[:, None]
         return np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(slope))
 
-    def _directions(
+    def _directions_by_row(
         self, attitude_at: AttitudeAt, t: float, directions: Array, start: Array | None = None
     ) -> tuple[Array, Array]:
-        """Directions in `ball`, (n, 3), turned to `obj`, each at the time of the row it appears in; and the times."""
+        """Return directions on the ball in `obj`, (n, 3), each at the time when its own row is exposed, and the times.
+
+        `directions`, (n, 3), are in `ball`; `attitude_at` returns R_obj_ball at times, s. `t` is the time of the middle
+        row, and `start`, (n,), the times from which the search begins. With a global shutter all times are `t`.
+        """
         if self.scene.readout_s == 0.0:
             return directions @ attitude_at(np.array([t]))[0].T, np.full(len(directions), t)
         times = np.full(len(directions), t) if start is None else start
-        for _ in range(6):  # rows are read much faster than discs move: the fixed point is reached at once
+        for _ in range(6):  # each round leaves the part disc speed / row speed of the error
             turned = (attitude_at(times) @ directions[..., None])[..., 0]
             times = t + self.row_time(self._project(turned)[0][:, 1])
         return (attitude_at(times) @ directions[..., None])[..., 0], times
@@ -245,7 +249,7 @@ class Surface:
         fills as it is seen, and with nothing in front of it.
         """
         scene, n = self.scene, len(self.scene.disc_directions)
-        directions, times = self._directions(attitude_at, t, scene.disc_directions)
+        directions, times = self._directions_by_row(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
         discs = np.flatnonzero((angle < self._horizon) & self._there)
         phase = np.linspace(0.0, 2.0 * np.pi, _POLYGON_CORNERS, endpoint=False)
@@ -253,7 +257,9 @@ class Surface:
         middle = scene.disc_directions[discs]
         ring = np.cos(scene.disc_angle) * middle[:, None]
         ring = ring + np.sin(scene.disc_angle) * (around @ np.swapaxes(tangent_basis(middle), 1, 2))
-        edges, _ = self._directions(attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _POLYGON_CORNERS))
+        edges, _ = self._directions_by_row(
+            attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _POLYGON_CORNERS)
+        )
         blob, area = _polygon(self._project(edges)[0].reshape(len(discs), _POLYGON_CORNERS, 2))
         cut = angle[discs] + scene.disc_angle > self._horizon  # by the limb
         area[cut], blob[cut] = np.nan, np.nan

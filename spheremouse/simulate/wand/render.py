@@ -105,7 +105,11 @@ class WandRenderer:
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), dtype=np.uint8)
 
     def _layers(self, t: float) -> list[Layer]:
-        """Return the layers of the moving objects, farther ones first."""
+        """Return the layers of the moving objects at the mid-exposure `t`, s, farther centres first.
+
+        A ball and its carrier stay together. A ball is painted at as many moments of the exposure as its motion needs,
+        its carrier at the middle one. Objects out of view give no layer.
+        """
         found: list[tuple[float, list[Layer | None]]] = []
         scene, camera, light = self.scene, self.scene.camera, self._brightness
         for carried, paints in zip(scene.balls, self._paints, strict=True):
@@ -115,8 +119,9 @@ class WandRenderer:
             if carried.carrier == "robot":
                 group = [*robot(c, R, camera, light), *group]
             elif carried.carrier == "stick":
-                before = held(self._hand, c, R, carried.ball.radius, camera, light)
-                group = [*before, *group] if R[2, 2] < 0.0 else [*group, *before]
+                stick_and_hand = held(self._hand, c, R, carried.ball.radius, camera, light)
+                pole_faces_camera = R[2, 2] < 0.0  # the upper one; the hand is below the lower pole
+                group = [*stick_and_hand, *group] if pole_faces_camera else [*group, *stick_and_hand]
             found.append((float(c[2]), group))
         for passing in scene.hands:
             if (place := passing.at(t)) is not None:

@@ -338,6 +338,9 @@ def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
     assert told.verdict is OK
     covered = tuple(replace(v, image=np.full_like(v.image, 128)) for v in footage.views)
     assert sights.discs(covered, seen, settings.discs).verdict is WRONG
+    cause = sights.discs(covered, seen, settings.discs).values["cause"]
+    passed = (footage.views[0], *covered[:2])  # the cause is that of a view without discs
+    assert sights.discs(passed, seen, settings.discs).values["cause"] == cause
     away = replace(pose, rotation=pose.rotation @ exp(np.array([0.0, np.pi, 0.0])))
     seen, told = sights.sight(rig, away, settings)
     assert seen is None

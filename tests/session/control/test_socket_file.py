@@ -207,6 +207,9 @@ def test_a_user_without_a_runtime_folder_has_one_of_its_own_and_no_other(bare, m
     path.symlink_to(elsewhere)
     with pytest.raises(ControlError, match="another user's"):
         socket_file.runtime_folder()
+    elsewhere.rmdir()  # somebody else can make it again at any time
+    assert path / "control.sock" not in list(socket_file.candidates())
+    elsewhere.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(bare))
     assert socket_file.runtime_folder() == bare / "spheremouse"
 
