@@ -27,7 +27,7 @@ HERE = Path(__file__)
 
 def prepare(folder):
     """Make the pictures of the camera, its node and its lasting name, and the Python of the page."""
-    practice = ("calibrate", "practice", folder / "practice", "--size", "960x720", "--photos", 12, "--boards", 18)
+    practice = ("calibrate", "practice", folder / "practice", "--size", "960x540", "--photos", 12, "--boards", 18)
     subprocess.run([sys.executable, "-m", "spheremouse", *map(str, practice), "--seed", "3"], check=True)
     program = folder / "python"
     words = shlex.join((sys.executable, str(HERE), str(folder), "child"))

@@ -95,7 +95,7 @@ def test_the_status_is_a_short_table(ctl, daemon):
         "70 min old, within 3.3 mm (1 sigma)",
         "uinput:third=wheel, 810344 reports, not sent: +0 -12 +0 counts",
         "/dev/video0: MJPG 640x480, 60 frames/s",
-        "31 s of 71 min, lost 2 times",
+        "1.4 s of 71 min, lost 2 times",
     ):
         assert words in out
     assert len(out.splitlines()) <= 14

@@ -260,7 +260,7 @@ def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
     page.locator("#add-mask").click()
     first = wait_for("a rectangle", shown)
     if by == "keys":
-        page.wait_for_timeout(500)  # until the daemon has confirmed it, the page may show the value before
+        page.get_by_label("left").wait_for()  # until the daemon has confirmed it, the page shows the value before
         page.locator("#picture").focus()
         page.keyboard.press("ArrowLeft")
         wait_for("its place", lambda: shown() == [first[0] - 4, first[1], first[2] - 4, first[3]])
