@@ -21,9 +21,8 @@ from spheremouse.geometry.rotation import Array, align, log, tangent_basis
 from spheremouse.tracker import Frame, Status
 
 _MIN_BUMP_LEVEL = 64.0  # level of the player from which a bumped camera explains as much
-_MIN_BUMP_LEVEL_AT_REST = (
-    8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
-)
+# the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
+_MIN_BUMP_LEVEL_AT_REST = 8.0
 _MAX_REST_RATE_RAD_S = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
 _MAX_UNNOTICED_TURN_RAD = 0.02  # rad, by which a camera may seem to turn the ball without a suspected bump
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long

@@ -22,9 +22,8 @@ from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
 _PATCH_HALF_WIDTH_PX = 17  # px, half width of a reduced patch: larger ones are reduced to about that
-_PATCH_HALF_WIDTH_RADII = (
-    1.3  # half width of a patch in outer radii of the target: it includes the ring's edge and some background
-)
+# half width of a patch in outer radii of the target: it includes the ring's edge and some background
+_PATCH_HALF_WIDTH_RADII = 1.3
 _SEARCH_REACH_PX = 3  # px of the reduced patch, reach of an ordinary search
 _POINT_SYMMETRY = 0.7  # correlation of a patch with itself turned by 180°, from which it is taken for a target
 _MIN_CONTRAST_GREY = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark

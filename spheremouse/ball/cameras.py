@@ -47,9 +47,8 @@ def with_camera(
                 "give one camera, or leave tracker and detector at their defaults",
             )
     assert state.camera == 0, "add cameras before the first frame"
-    new = begin(tracker, state.filter.stamp)
     number = len(present)
-    other = CameraState(*(getattr(new, name) for name in CameraState._fields))._replace(
+    other = CameraState.of(begin(tracker, state.filter.stamp))._replace(
         camera=number, lookalikes=StaticDistractors(next_number=number * _NUMBERS)
     )
     shared = [
@@ -71,7 +70,7 @@ def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:
         return state
     which = [other.camera for other in state.others].index(camera)
     others = list(state.others)
-    others[which] = CameraState(*(getattr(state, name) for name in CameraState._fields))
+    others[which] = CameraState.of(state)
     state = state._replace(**state.others[which]._asdict(), others=tuple(others))
     phase = state.phase
     if isinstance(phase, Lost) and phase.trial is not None:

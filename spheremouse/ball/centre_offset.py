@@ -13,9 +13,8 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import mutual_nearest
 from spheremouse.geometry.rotation import Array, hat
 
-_PRIOR_SIGMA_RADII = (
-    0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
-)
+# radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
+_PRIOR_SIGMA_RADII = 0.1
 _PLACE_SIGMA_RAD = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
 MISFIT = 10.0  # chi-square per degree of freedom of discs that fit a rotation; at 1 they are as exact as they say
 _MAX_INSIGNIFICANT_SIGMAS = 3.0  # standard deviations of an offset that is none

@@ -38,7 +38,7 @@ class Detector(Protocol):
 
     @property
     def map_type(self) -> type[BallMap]:
-        """What a file keeps of its points."""
+        """Type of the map of its points that a file keeps."""
         ...
 
     @property

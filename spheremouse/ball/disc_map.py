@@ -19,9 +19,8 @@ _MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD = (
     0.005,
     0.05,
 )  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
-_MAX_DISC_MOVE_RAD = (
-    0.2  # rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved
-)
+# rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved
+_MAX_DISC_MOVE_RAD = 0.2
 _MAX_RISK = 1e-3  # of taking another ball for the same one
 _ANY_AXIS = np.array([0.36, 0.48, 0.8])
 _ALL_AROUND = -0.9999  # cosine of the horizon: a map shows all sides of a ball

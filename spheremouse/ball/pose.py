@@ -26,9 +26,8 @@ from spheremouse.settings import param
 
 TARGET_SIGMA_PX = 0.05  # standard deviation of a centre in one view that no averaging removes: print, sampling, lens
 _MIN_SEEN_SHARE = 0.3  # of the views; a target seen in fewer is left out
-_MAX_COMBINATIONS = (
-    250  # combinations of one copy of each target: each needs its own resection, which takes milliseconds
-)
+# combinations of one copy of each target: each needs its own resection, which takes milliseconds
+_MAX_COMBINATIONS = 250
 _CROWDED = (
     f"the picture has more shapes like targets than the search examines ({MAX_COPIES} of a kind): cover or remove "
     "colourful objects, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"

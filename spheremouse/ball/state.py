@@ -154,6 +154,11 @@ class CameraState(NamedTuple):
     rebuilt: Tracker[Any] | None
     readout_known: bool
 
+    @classmethod
+    def of(cls, state: "TrackState[Any]") -> "CameraState":
+        """Return the part of a state that belongs to the camera of its last frame."""
+        return cls(*(getattr(state, name) for name in cls._fields))
+
 
 class Withheld(NamedTuple):
     """Motion of a tracked ball that is not reported, since no frame confirms the attitude."""

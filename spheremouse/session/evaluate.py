@@ -38,7 +38,7 @@ class BallRun(NamedTuple):
     frames: int  # that were given, also those before the first that was tracked
 
 
-class OtherCamera(NamedTuple):
+class SecondCamera(NamedTuple):
     """A further camera of the same ball."""
 
     frames: Iterator[Frame]
@@ -77,7 +77,7 @@ def run_ball(
     settings: Settings,
     known: BallMap | None = None,
     log: Callable[[str], None] = lambda _: None,
-    others: Sequence[OtherCamera] = (),
+    others: Sequence[SecondCamera] = (),
 ) -> BallRun:
     """Track frames, with a `known` map of the ball or without. `log` gets the problem of first views without a pose.
 
@@ -87,7 +87,7 @@ def run_ball(
     history, tracker = History(), build(rig, start.pose, settings)
     starts = [initialise(other.frames, other.rig, settings, report=log) for other in others]
     placed = [in_axes(other.rig, its.pose, other.turn) for other, its in zip(others, starts, strict=True)]
-    every = start.frames if not others else merged([start.frames, *(its.frames for its in starts)])
+    every = merged([start.frames, *(its.frames for its in starts)])
     for epoch in track(every, tracker, known, [build(*each, settings) for each in placed]):
         history.add(epoch)
     given = start.passed + sum(its.passed for its in starts) + len(history.epochs)

@@ -21,9 +21,8 @@ from spheremouse.wand.state import Track, WandTracker
 
 _MAX_PEAKS = 3  # of the likelihood: a pose, its mirror, a second ball
 _MAX_LOG_LIKELIHOOD_LOSS = 15.0  # against the best peak
-_PROPOSAL_WIDTH = (
-    1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
-)
+# covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
+_PROPOSAL_WIDTH = 1.5
 CERTAIN_MATCH = 0.8  # match of a pose that is accepted at first sight: less may be the mirror of the true pose
 _STRONG_EVIDENCE = 2.0  # times the required evidence: a pose with that much passes with a smaller match,
 _MATCH_REDUCTION = 0.15  # by this

@@ -41,14 +41,12 @@ from spheremouse.native import kernels
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_MIN_COARSE_DISC_PX = (
-    4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
-)
+# px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
+_MIN_COARSE_DISC_PX = 4.0
 _NOISE_EVERY = 16  # frames: the light changes slowly
 _MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
-_MAX_SEARCHED_DISC_PX = (
-    14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
-)
+# px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
+_MAX_SEARCHED_DISC_PX = 14.0
 
 _MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a fifth smaller
 _MIN_SIGMA_FRACTION = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise

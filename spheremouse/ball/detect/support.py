@@ -15,9 +15,8 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscDetector
 
 _NOISE_LINES = 16  # by which the detector measures the noise
-_FIT_BLOCK_PX = (
-    4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
-)
+# px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline
+_FIT_BLOCK_PX = 4
 
 
 def disc_support(detector: DiscDetector, clipped: bool) -> Image:

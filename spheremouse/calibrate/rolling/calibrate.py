@@ -23,9 +23,9 @@ from spheremouse.calibrate.rolling.footage import Footage
 from spheremouse.calibrate.rolling.problem import Rolling, RollingAdjustment
 from spheremouse.calibrate.rolling.sightings import TrackedRolling, provisional_pose, track_rolling
 from spheremouse.calibrate.rolling.start import RollingStart, Spots, dark_spots, start, start_rig
-from spheremouse.errors import CalibrationError, SourceError
+from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, check_size
 
 BLOCK = 15.0  # s of rolling for a start; then two and four times as much
 _MIN_SECONDS = 2.9  # three, less a frame at 10 Hz
@@ -148,12 +148,7 @@ def _first_pass(
     used, limit = 0.0, BLOCK
     failed: CalibrationError | None = None
     for frame in progress("looking for the ball", footage(None)):
-        if (frame.image.shape[1], frame.image.shape[0]) != (camera.width, camera.height):
-            h, w = frame.image.shape[:2]
-            raise SourceError(
-                f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {camera.width}x{camera.height}: "
-                "set the camera to that mode, or give the calibration of this one (--camera)"
-            )
+        check_size(frame, camera)
         views.add(frame)
         assert views.first is not None
         if found is not None:

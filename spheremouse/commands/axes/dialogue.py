@@ -17,9 +17,8 @@ from spheremouse.session.screen import Tally
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 
-_SHIFT_PER_RADIAN_M = (
-    0.4  # m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
-)
+# m of a hand that count as a radian: a forearm moves so far as easily as a wrist turns by that
+_SHIFT_PER_RADIAN_M = 0.4
 _ON_TOP = "push the top of the ball, not its front or its underside, each time one way"
 _MIRRORED = "no player's right, away and counter-clockwise go together so"
 

@@ -93,9 +93,8 @@ class MapKeeper:
     ) -> None:
         """Load the map of a `kind` in `path`, if the file exists. `log` prints a line, from any thread.
 
-        `elsewhere` has another thread save; by default the
-        caller waits. Raises ConfigurationError if the folder does not exist, or if the map is unreadable or of another
-        rig.
+        `elsewhere` has another thread save; by default the caller waits. Raises ConfigurationError if the folder does
+        not exist, or if the map is unreadable or of another rig.
         """
         if not path.parent.is_dir():
             raise ConfigurationError(f"{path}: no such folder; name a place for the map with --map, or give --no-map")

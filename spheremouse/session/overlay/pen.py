@@ -66,15 +66,7 @@ class Pen:
         values, vectors = np.linalg.eigh(shape)  # a rounded shape may have no Cholesky factor
         rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ (vectors * np.sqrt(values.clip(0.0))).T
         for shade, width in ((SHADOW, 3 * self.width), (_dull(colour, weight), self.width)):  # seen on light ground too
-            cv2.polylines(
-                self._canvas,
-                [self._fixed(rim)],
-                isClosed=True,
-                color=shade,
-                thickness=width,
-                lineType=cv2.LINE_AA,
-                shift=_FRACTIONAL_BITS,
-            )
+            self._stroke(rim, shade, width, closed=True)
 
     def trace(self, epochs: list[Array]) -> None:
         """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
@@ -126,12 +118,12 @@ class Pen:
         for text, place in cells:
             _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
 
-    def _stroke(self, points: Array, colour: Colour, width: int) -> None:
-        """Draw an open line, (n, 2) px."""
+    def _stroke(self, points: Array, colour: Colour, width: int, *, closed: bool = False) -> None:
+        """Draw a line, (n, 2) px."""
         cv2.polylines(
             self._canvas,
             [self._fixed(points)],
-            isClosed=False,
+            isClosed=closed,
             color=colour,
             thickness=width,
             lineType=cv2.LINE_AA,

@@ -11,9 +11,8 @@ import sys
 
 PRIORITY = 5  # of SCHED_RR: above all threads without real time, below audio servers
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_SWITCH_INTERVAL_S = (
-    5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
-)
+# s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
+_SWITCH_INTERVAL_S = 5e-4
 
 
 def prepare(wanted: bool = True) -> str:

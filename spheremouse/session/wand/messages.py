@@ -11,9 +11,8 @@ from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, Colo
 from spheremouse.wand.state import WandPose
 
 MAX_SEARCH_S = 5.0  # s of frames without a ball that was never seen, after which that is logged
-_MAX_GREY_COLOUR_DIFFERENCE = (
-    3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
-)
+# grey values by which the colours of a pixel differ, on average, in a picture without colour
+_MAX_GREY_COLOUR_DIFFERENCE = 3.0
 
 _Wand = NotInView | BallLost | BallHidden | SecondBall | ColourNowhere | ColourEverywhere
 

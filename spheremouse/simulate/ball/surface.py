@@ -24,9 +24,8 @@ AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 _SUBPIXELS_OF_PATTERN = 2  # of a pixel's side, for a painted pattern
 _SUBPIXELS_AT_EDGE = 3  # parts of a pixel's side where the edge of a disc runs through it
 _SUBPIXELS_AT_LIMB = 7  # the same near the limb, where a pixel sees far around the ball
-_LIMB_COSINE_PER_ROOT_PIXEL = (
-    5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
-)
+# square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
+_LIMB_COSINE_PER_ROOT_PIXEL = 5.0
 _POLYGON_CORNERS = 180  # of the polygon that approximates a disc's outline
 _TESTED_MARGIN_PX = 2  # px around ball and discs that are tested
 _EXTENT_FACTOR = 1.1  # factor on a disc's linear extent in the image: perspective and lens are not linear

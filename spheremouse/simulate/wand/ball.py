@@ -18,9 +18,8 @@ from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
 from spheremouse.simulate.wand.path import world_to_cam
 from spheremouse.wand.ball import WandBall
 
-_RAYS_ACROSS_EDGE_PIXEL = (
-    6  # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
-)
+# rays across a pixel with an edge, in each direction; fewer where many moments are averaged
+_RAYS_ACROSS_EDGE_PIXEL = 6
 _MARGIN_PX = 2  # px around the ball
 _UP = world_to_cam() @ (0.0, -1.0, 0.0)  # cam
 
