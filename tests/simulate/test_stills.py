@@ -22,7 +22,7 @@ from spheremouse.commands.calibrate.practice.write import device_of, device_yaml
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.device import load_device
-from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.camera import InteriorOrientation, fold_in_picture, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.board import Board, board_coverage
 from spheremouse.simulate.ball.stills import (
@@ -154,6 +154,14 @@ def test_noise_is_as_ordered_and_what_the_lens_does_not_reach_is_black():
     assert rms((noisy - clean)[plain]) == pytest.approx(6.0, rel=0.02)
     assert abs(np.mean((noisy - clean)[plain])) < 0.05
     assert clean[0, 0].max() == 0.0
+
+
+@pytest.mark.parametrize("size", [(1920, 1080), (1280, 960), (640, 480), (720, 720), (720, 1280)])
+def test_the_lens_of_every_size_folds_in_the_outermost_corners_alone(size):
+    camera = prepare_stills(StillsOptions(photos=0, boards=0, size=size)).scene.camera
+    share, distance = fold_in_picture(camera)
+    assert share < 0.035
+    assert distance > 0.9 * 0.5 * np.hypot(*size)
 
 
 @pytest.mark.parametrize("n", [1, 6, 16])

@@ -6,6 +6,7 @@ the views of the written instructions: the device from all sides that show three
 and in every part of the picture.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -296,7 +297,8 @@ def truth_of(stills: Stills) -> dict[str, Any]:
 def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
     """Return the scene of the photos: camera, ball and device by the options."""
     width, height = options.size
-    scale = min(max(width, height) / _REFERENCE[0], min(width, height) / _REFERENCE[1])
+    # The diagonal sets the scale: the lens folds in the outermost corners, as far out at every aspect ratio.
+    scale = math.hypot(width, height) / math.hypot(_REFERENCE[0], _REFERENCE[1])
     focal = _REFERENCE[2] * scale if options.focal is None else options.focal
     cx, cy = 0.5 * width + _OFF_MIDDLE[0] * scale, 0.5 * height + _OFF_MIDDLE[1] * scale
     camera = InteriorOrientation(width, height, focal, focal, cx, cy, np.array(options.dist, dtype=float))
