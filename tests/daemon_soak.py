@@ -99,9 +99,8 @@ class Cabinet(World):
         self.reports = 0
         self.spells_judged = 0
         self.worst = 0.0  # counts
-        self._spell_of: OrderedDict[float, tuple[int, int, bool, str, int]] = (
-            OrderedDict()
-        )  # stamp -> spell, place, ...
+        # Stamp -> spell, place, ...
+        self._spell_of: OrderedDict[float, tuple[int, int, bool, str, int]] = OrderedDict()
         self._state_of: OrderedDict[float, str] = OrderedDict()
         self._judged: tuple[int, int] | None = None  # spell and place of the last frame that counts
         self._error, self._path = np.zeros(3), 0.0

@@ -15,10 +15,8 @@ from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, align, tangent_basis
 
-_MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD = (
-    0.005,
-    0.05,
-)  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
+# rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
+_MIN_STAY_RADIUS_RAD, _MAX_STAY_RADIUS_RAD = (0.005, 0.05)
 # rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved
 _MAX_DISC_MOVE_RAD = 0.2
 _MAX_RISK = 1e-3  # of taking another ball for the same one

@@ -33,9 +33,8 @@ from spheremouse.tracker import Estimate, Status
 
 _EXACT_AXES_SIGMA_RAD = 1e-6  # rad: the axes of a map without error
 _RIDGE_RAD2 = 1e-18  # rad²: parameters that are known exactly have no variance to invert
-_ROTATION_AND_RATE = np.ix_(
-    (0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8)
-)  # of an estimate's covariance: rotation and its rate
+# Block of an estimate's covariance: rotation and its rate
+_ROTATION_AND_RATE = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))
 
 
 class Observation(NamedTuple):

@@ -143,9 +143,8 @@ def _value(field: "Field[Any]", typed: Any, names: tuple[str, ...] | None) -> An
         return typed
     if unit == "m":
         return _length(option, typed)
-    example = (
-        "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
-    )  # colours alone have no default
+    # Only colours have no default
+    example = "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
     if unit == "WxH":
         return parse_size(typed, field.metadata["bounds"]["ge"], example)
     return _numbers(option, typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)

@@ -26,10 +26,8 @@ OFF_ANGLE = np.radians(45.0)
 MAX_RECOVERY_S = 1.0  # s: maximum time to recover from a distractor
 _MIN_RECOVERY_FRAMES = 2  # frames, where a second is less than that
 _MAX_DIFFERENCE_OF_SAME_BALL = 1e-5  # m and rad by which one ball's descriptions differ, which files round
-_MAX_DISTANCE_M, _FORBIDDEN_DISTANCE_M = (
-    1.0,
-    1e6,
-)  # m: an arm's length and more, which is another ball; and of what may not be
+# m: an arm's length and more is another ball
+_MAX_DISTANCE_M, _FORBIDDEN_DISTANCE_M = (1.0, 1e6)
 
 
 @dataclass(frozen=True, slots=True)

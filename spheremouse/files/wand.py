@@ -22,9 +22,8 @@ from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.settings import ColourSettings
 
-_MAX_SEPARATION_OF_SAME_DISC_RAD = np.radians(
-    6.0
-)  # discs this near to one another are taken for the same one: half of the smallest disc
+# Discs this near to one another are the same one: half of the smallest disc
+_MAX_SEPARATION_OF_SAME_DISC_RAD = np.radians(6.0)
 _MIN_TURN_RAD = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
 _MIN_DISCS, _MAX_DISCS = 3, 64  # discs: three give an attitude; in a circle of 12 degrees each, 64 cover the ball
 

@@ -62,11 +62,8 @@ def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> s
 
 
 _STATUS_EVERY = 20.0  # s between two lines for systemd without a change
-_STATES_WITHOUT_BALL = (
-    State.NO_CAMERA,
-    State.SEARCHING_TARGETS,
-    State.LOST,
-)  # in which the ball may turn without being seen
+# States in which the ball may turn without being seen
+_STATES_WITHOUT_BALL = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)
 
 
 class StateMonitor:

@@ -13,10 +13,8 @@ from spheremouse.session.timing import FrameTimes
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, Status
 
-_MAX_FAULTS, _FAULT_WINDOW_S = (
-    5,
-    60.0,
-)  # internal errors in so many s that end the process; the service manager restarts it
+# Internal errors in so many s that end the process; the service manager restarts it
+_MAX_FAULTS, _FAULT_WINDOW_S = (5, 60.0)
 _MAX_DAMAGED_S = 1.0  # s of damaged frames alone that are reported
 
 

@@ -514,9 +514,8 @@ def test_a_lifted_ball_is_lost_whatever_else_is_in_the_picture(noise, false):
 
 def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
     """Each disc is founded in the frame that shows it to turn along: the next may show no other that is known."""
-    angle = np.array(
-        [0.0, 0.25, -0.25, 0.1, -2.63, -2.68, -2.83, -2.98]
-    )  # the second four come when the first are gone
+    # The second four come when the first are gone
+    angle = np.array([0.0, 0.25, -0.25, 0.1, -2.63, -2.68, -2.83, -2.98])
     belt = np.stack([np.sin(angle), [0.1, -0.2, 0.0, 0.35, 0.0, 0.3, -0.3, 0.1], np.cos(angle)], axis=1)
     belt /= np.linalg.norm(belt, axis=1)[:, None]
     out = film(lambda t: start(t, 0.3, rate=np.array([0.0, 2.5, 0.0])), seconds(2.3), discs=belt)

@@ -104,9 +104,8 @@ def test_where_the_map_is_kept(folder, monkeypatch):
     assert recordings == str(folder / "seen")
     state = folder / "state"
     monkeypatch.setenv("STATE_DIRECTORY", f"{state}:/elsewhere")
-    assert (
-        read_run_config(CommandLineOverrides(config)).map_path == folder / "rig.map.yaml"
-    )  # beside the rig where that may be written
+    # Beside the rig where that may be written
+    assert read_run_config(CommandLineOverrides(config)).map_path == folder / "rig.map.yaml"
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert read_run_config(CommandLineOverrides(config)).map_path == state / "rig.map.yaml"
 

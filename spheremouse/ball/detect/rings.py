@@ -109,9 +109,8 @@ def detect_targets(image: Image, radii: Array, settings: RingSettings) -> Target
     candidates, crowded = candidates_of(spots_of(image, settings), proportion, settings, image.shape)
     areas = np.array([c.area for c in candidates])
     smaller = np.argsort(areas, kind="stable")
-    room = (
-        np.cumsum(areas[smaller]) <= _MAX_MEASURED_PICTURE_AREAS * image.shape[0] * image.shape[1]
-    )  # as many as possible
+    # As many candidates as possible, the smallest first
+    room = np.cumsum(areas[smaller]) <= _MAX_MEASURED_PICTURE_AREAS * image.shape[0] * image.shape[1]
     measured = [(c, _measure(image, c, proportion)) for c in (candidates[k] for k in np.sort(smaller[room]))]
     seen = [(c, *m) for c, m in measured if m is not None]
     return TargetDetections(
@@ -238,9 +237,8 @@ def _misfits(inner: Array, inmost: _Pairs, middle: Array, around: _Pairs, outer:
     circle belongs the least middle one that reaches the range of the other two, or the next smaller.
     """
     misfit = np.full(len(outer), np.inf)
-    span = (
-        2.0 * float(outer.max(initial=0.0)) * max(1.0, *(1.0 / proportion))
-    )  # above all radii, to sort them by circle
+    # Above all radii, to sort them by circle
+    span = 2.0 * float(outer.max(initial=0.0)) * max(1.0, *(1.0 / proportion))
     order = np.argsort(span * around[1] + middle[around[0]], kind="stable")
     b, whose = middle[around[0]][order], around[1][order]
     key = span * whose + b

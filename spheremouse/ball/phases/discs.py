@@ -93,9 +93,8 @@ def detect_discs(
         before = before._replace(size=0.0, contrast=0.0)
     if not tracking or not state.follows:
         return detector.detect(frame.image, before.contrast), before
-    known = np.concatenate(
-        [predicted.discs[which], state.lookalikes.candidates.anchor_ball]
-    )  # discs, and what may be one
+    # Discs of the map, and candidates
+    known = np.concatenate([predicted.discs[which], state.lookalikes.candidates.anchor_ball])
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     seen_enough = max(SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
     least = seen_enough if state.known_to_turn else len(known) + 1

@@ -41,9 +41,8 @@ LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pa
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
 _USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
 _CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
-_STEP = float(
-    np.radians(2.7)
-)  # of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
+# rad, of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
+_STEP = float(np.radians(2.7))
 _AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
 _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples

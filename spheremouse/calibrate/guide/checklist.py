@@ -25,10 +25,11 @@ from spheremouse.files.yaml import shown
 State = Literal["done", "too few", "not needed", "next", "later"]
 Otherwise = tuple[tuple[str, str], ...]  # further text, each with its command
 
+# Folders with a service's rig.yaml
 SERVICES = (
     Path("/etc/spheremouse"),
     Path(os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()) / "spheremouse",
-)  # folders with a service's rig.yaml
+)
 
 _USE_THESE = "Or go on with these:"
 _MORE = "Or take more photos first:"

@@ -118,9 +118,10 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
 class Notices:
     """Decides when to show a notice: for problems that last, and for each at most every five minutes. Times in s."""
 
+    # Hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
     after: dict[str, float] = field(
         default_factory=lambda: {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
-    )  # hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
+    )
     min_interval: float = 300.0  # s
     _state: str = ""
     _since: float = 0.0

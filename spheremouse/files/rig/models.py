@@ -21,9 +21,8 @@ Coordinate = Annotated[float, Field(ge=-_MAX_MAGNITUDE, le=_MAX_MAGNITUDE)]
 Variance = Annotated[float, Field(ge=-(_MAX_MAGNITUDE**2), le=_MAX_MAGNITUDE**2)]
 Focal = Annotated[float, Field(ge=1.0, le=_MAX_MAGNITUDE)]  # px: the smallest picture at 170°, and a telescope's
 Principal = Annotated[float, Field(ge=-MAX_SIDE, le=2 * MAX_SIDE)]  # px
-Distortion = Annotated[
-    float, Field(ge=-_MAX_MAGNITUDE, le=_MAX_MAGNITUDE)
-]  # of a long lens, k3 may come out as anything
+# Of a long lens, k3 may come out as anything
+Distortion = Annotated[float, Field(ge=-_MAX_MAGNITUDE, le=_MAX_MAGNITUDE)]
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Row = Annotated[tuple[Variance, ...], Field(max_length=3 * len(CODES))]
 Matrix = Annotated[tuple[Row, ...], Field(max_length=3 * len(CODES))]

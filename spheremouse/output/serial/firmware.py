@@ -9,13 +9,8 @@ from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import replace
 
 PICO = "firmware/pico"  # in `service/`
-FILES = (
-    "boot.py",
-    "mouse.py",
-    "frames.py",
-    "protocol.py",
-    "code.py",
-)  # code.py last, because the board runs it when it changes
+# `code.py` is the last, because the board runs it when it changes
+FILES = ("boot.py", "mouse.py", "frames.py", "protocol.py", "code.py")
 DRIVES = ("/media/*/CIRCUITPY", "/run/media/*/CIRCUITPY", "/Volumes/CIRCUITPY")  # where systems mount it
 _FIRST_LINE = b"# spheremouse firmware"
 _EXAMPLES = (b'print("Hello World!")', b"import board")  # of CircuitPython

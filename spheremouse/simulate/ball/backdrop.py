@@ -45,9 +45,8 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     xy, dxy_duv = np.empty((h * w, 2)), np.empty((h * w, 2, 2))
     for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
         xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
-    behind_camera = (
-        scene.pose.position - 10.0 * scene.pose.rotation[:, 2]
-    )  # behind the camera: the ball keeps its index
+    # Behind the camera: the ball keeps its index
+    behind_camera = scene.pose.position - 10.0 * scene.pose.rotation[:, 2]
     sphere = Sphere(np.zeros(3) if ball else behind_camera, scene.ball_radius, scene.ball_colour)
     view, alone = (
         look(shapes, scene.pose.position, scene.pose.rotation) for shapes in ([sphere, *scene.surroundings], [sphere])

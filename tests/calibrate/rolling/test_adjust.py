@@ -103,9 +103,8 @@ def test_the_jacobian_is_that_of_the_residuals():
     shared = equations.shared.toarray().reshape(len(s), 2, -1)
     m, f, h = len(at.discs), len(at.attitude), 1e-6
     nothing, still = np.zeros(4 + 2 * m), np.zeros((f, 3))
-    slow = angular_rates(
-        at
-    )  # rates follow from the attitudes, and are held in the Jacobian: only the own turn is compared
+    # Rates follow from the attitudes, and are held in the Jacobian: only the own turn is compared
+    slow = angular_rates(at)
     assert np.abs(slow).max() > 0.1
     first = 4 + 2 * int(s.disc[0])
     for k in (0, 1, 2, 3, first, first + 1):
