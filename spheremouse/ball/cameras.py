@@ -4,7 +4,7 @@ A camera has its rig, pose and detector (`Tracker`), its look-alikes, colours an
 of the ball. A frame updates the ball by its own stamp with the points of its camera. The axes are `obj` for all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import begin
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_motion import CAMERA_DIM
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array
@@ -28,40 +28,57 @@ def begin_all(
     """Return the state before the first frame of one or more cameras, as `build.begin` does for one."""
     state = begin(trackers[0], stamp, attitude, known)
     for k in range(1, len(trackers)):
-        state = with_camera(state, trackers[k], trackers[:k])
+        state = with_camera(state, trackers[k], trackers[:k], k)
     return state
 
 
 def with_camera(
-    state: TrackState[So3State], tracker: Tracker[So3Filter], present: Sequence[Tracker[So3Filter]]
+    state: TrackState[So3State], tracker: Tracker[So3Filter], present: Sequence[Tracker[So3Filter]], number: int
 ) -> TrackState[So3State]:
-    """Return the state with one more camera, `tracker`; `present` are those that it has, in the order of their numbers.
+    """Return the state with one more camera, `tracker`, whose frames have the `number`.
 
-    Call it before the first frame. Errors of the ball are the same for cameras whose rigs have the same ball. Raises
-    ConfigurationError for trackers that follow no discs by the default filter.
+    `present` are those that it has: of the last frame's camera, then of `state.others`. Errors of the ball are the same
+    for cameras whose rigs have the same ball. Raises ConfigurationError for trackers that follow no discs by the
+    default filter.
     """
-    for each in (*present, tracker):
-        if not (each.method.keeps_map and each.detector.is_exact):
-            raise ConfigurationError(
-                "two cameras: only the tracker so3 with the default detector takes more than one camera",
-                "give one camera, or leave tracker and detector at their defaults",
-            )
-    assert state.camera == 0, "add cameras before the first frame"
-    number = len(present)
+    trackers = (*present, tracker)
+    check_kinds(trackers)
     other = CameraState.of(begin(tracker, state.filter.stamp))._replace(
         camera=number, lookalikes=StaticDistractors(next_number=number * _NUMBERS)
     )
-    shared = [
-        one.filter.shared_covariance(tracker.filter) if _same_ball(one.rig, tracker.rig) else np.zeros((7, 7))
-        for one in present
-    ]
-    filtered = state.filter.with_camera(tracker.filter.camera_covariance(), np.concatenate(shared))
-    return state._replace(filter=filtered, others=(*state.others, other))
+    prior = np.block([[_shared(one, another) for another in trackers] for one in trackers])
+    return _filters(state._replace(others=(*state.others, other)), lambda f: f.with_camera(prior))
 
 
-def _same_ball(one: Rig, other: Rig) -> bool:
-    """Return whether two rigs have the ball of one calibration, so that its errors are the same."""
-    return one.ball.radius == other.ball.radius and np.array_equal(one.ball.covariance, other.ball.covariance)
+def check_kinds(trackers: Sequence[Tracker[Any]]) -> None:
+    """Raise ConfigurationError if one of several trackers cannot share a ball with the others."""
+    if len(trackers) > 1 and not all(each.method.keeps_map and each.detector.is_exact for each in trackers):
+        raise ConfigurationError(
+            "two cameras: only the tracker so3 with the default detector takes more than one camera",
+            "give one camera, or leave tracker and detector at their defaults",
+        )
+
+
+def _shared(one: Tracker[So3Filter], other: Tracker[So3Filter]) -> Array:
+    """Return the covariance, (7, 7), of the errors of one camera with those of another, before any frame."""
+    if one is other:
+        return one.filter.camera_covariance()
+    same = one.rig.ball.radius == other.rig.ball.radius
+    same = same and np.array_equal(one.rig.ball.covariance, other.rig.ball.covariance)  # the ball of one calibration
+    return one.filter.shared_covariance(other.filter) if same else np.zeros((CAMERA_DIM, CAMERA_DIM))
+
+
+def cameras_of(state: TrackState[Any]) -> tuple[int, ...]:
+    """Return the numbers of the cameras: of the last frame, then of the others."""
+    return state.camera, *(other.camera for other in state.others)
+
+
+def current_of(state: TrackState[Any], camera: int, tracker: Tracker[Any]) -> Tracker[Any]:
+    """Return the tracker in use for a camera: `tracker`, or the one that was rebuilt for a new pose."""
+    for part in (state, *state.others):
+        if part.camera == camera and part.rebuilt is not None:
+            return part.rebuilt
+    return tracker
 
 
 def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:
@@ -72,12 +89,17 @@ def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:
     others = list(state.others)
     others[which] = CameraState.of(state)
     state = state._replace(**state.others[which]._asdict(), others=tuple(others))
+    return _filters(state, lambda f: f.facing(which))
+
+
+def _filters(state: TrackState[Any], change: Callable[[So3State], So3State]) -> TrackState[Any]:
+    """Return the state with a change of each filter state that it has."""
     phase = state.phase
     if isinstance(phase, Lost) and phase.trial is not None:
-        phase = phase._replace(trial=phase.trial._replace(filter=phase.trial.filter.facing(which)))
+        phase = phase._replace(trial=phase.trial._replace(filter=change(phase.trial.filter)))
     return state._replace(
         phase=phase,
-        filter=state.filter.facing(which),
-        alternatives=tuple(h._replace(state=h.state.facing(which)) for h in state.alternatives),
-        older=None if state.older is None else state.older.facing(which),
+        filter=change(state.filter),
+        alternatives=tuple(h._replace(state=change(h.state)) for h in state.alternatives),
+        older=None if state.older is None else change(state.older),
     )

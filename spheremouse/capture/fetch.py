@@ -103,10 +103,12 @@ class Capture(threading.Thread):
         latest: LatestFrame,
         say: Callable[[str], None] = lambda _: None,
         patience: float = MAX_FRAME_GAP_S,
+        camera: int = 0,
     ) -> None:
-        """`say` logs internal errors and rejected frames; this thread calls it."""
+        """`say` logs internal errors and rejected frames; this thread calls it. `camera` is its number."""
         super().__init__(name="capture", daemon=True)
         self._open, self._latest, self._say, self._patience = open_camera, latest, say, patience
+        self._camera = camera
         self._over = False
         self._wakeup = threading.Event()  # set to end the stream, or the wait for the next attempt
         self._failures = 0  # in a row
@@ -192,10 +194,10 @@ class Capture(threading.Thread):
                     if now - described > _DESCRIBE_INTERVAL_S:
                         self.description, described = camera.describe(), now
                     last, before = now, raw.sequence
-                    self._latest.put(Arrival(raw, now if self._recorded else min(raw.stamp, now)))
+                    self._latest.put(Arrival(raw, now if self._recorded else min(raw.stamp, now), self._camera))
             finally:
                 if not self._recorded:
-                    self._latest.clear()  # a buffer must not outlive its camera
+                    self._latest.clear(self._camera)  # a buffer must not outlive its camera
 
     @property
     def restarts(self) -> int:
@@ -218,4 +220,4 @@ class Capture(threading.Thread):
         self._wakeup.set()
         if self.is_alive():
             self.join(2.0)
-        self._latest.clear()
+        self._latest.clear(self._camera)

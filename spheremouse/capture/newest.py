@@ -19,32 +19,39 @@ class Arrival:
 
     raw: RawFrame
     taken: float  # s, time.monotonic(): mid-exposure as far as the source knows it, never ahead of the clock
+    camera: int = 0  # number of the camera, of several
 
 
 class LatestFrame:
-    """Holds one arrival at most."""
+    """Holds one arrival of each camera at most."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._arrival: Arrival | None = None
+        self._arrivals: dict[int, Arrival] = {}  # by camera
         self._woken = False
         self.skipped = 0  # frames that were replaced, or cleared with their camera
 
     def put(self, arrival: Arrival) -> None:
-        """Replace the latest arrival."""
+        """Replace the latest arrival of its camera."""
         with self._changed:
-            old = self._replace(arrival)
+            old, self._arrivals[arrival.camera] = self._arrivals.get(arrival.camera), arrival
+            self.skipped += old is not None
             self._changed.notify()
         if old is not None:
             old.raw.release()
 
     def take(self, timeout: float) -> Arrival | None:
-        """Return the latest arrival; None if none comes within `timeout` (s), or after `wake`."""
+        """Return the latest arrival, of several cameras the one that was taken first.
+
+        Return None if none comes within `timeout` (s), or after `wake`.
+        """
         with self._changed:
-            if self._arrival is None and not self._woken:
+            if not self._arrivals and not self._woken:
                 self._changed.wait(timeout)
-            taken, self._arrival, self._woken = self._arrival, None, False
-            return taken
+            self._woken = False
+            if not self._arrivals:
+                return None
+            return self._arrivals.pop(min(self._arrivals, key=lambda camera: self._arrivals[camera].taken))
 
     def wake(self) -> None:
         """End a wait, because there is other work."""
@@ -52,18 +59,13 @@ class LatestFrame:
             self._woken = True
             self._changed.notify()
 
-    def clear(self) -> None:
-        """Release the latest arrival."""
+    def clear(self, camera: int = 0) -> None:
+        """Release the latest arrival of a camera, which nobody has taken: it counts as skipped."""
         with self._changed:
-            old = self._replace(None)
+            old = self._arrivals.pop(camera, None)
+            self.skipped += old is not None
         if old is not None:
             old.raw.release()
-
-    def _replace(self, arrival: Arrival | None) -> Arrival | None:
-        """Store an arrival, or None, and return the one that nobody has taken, which counts as skipped."""
-        old, self._arrival = self._arrival, arrival
-        self.skipped += old is not None
-        return old
 
 
 class ContiguousBuffer:

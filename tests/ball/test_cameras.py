@@ -48,7 +48,7 @@ def tracked(cameras, until=6.0, hidden=lambda camera, t: False, rng=None, extra=
     rng = np.random.default_rng(7) if rng is None else rng
     state = begin(TRACKERS[cameras[0]], 0.0)
     if len(cameras) > 1:
-        state = with_camera(state, TRACKERS[1], TRACKERS[:1])
+        state = with_camera(state, TRACKERS[1], TRACKERS[:1], 1)
     for k in range(int(until / DT) * len(cameras)):
         camera, t = cameras[k % len(cameras)], k * DT / len(cameras)
         tracker, R = TRACKERS[camera], attitude(t)
@@ -140,4 +140,4 @@ def test_frames_of_two_cameras_come_in_the_order_of_their_stamps():
 def test_a_published_tracker_takes_one_camera():
     other = build(RIG, POSES[1], replace(Settings(), tracker="ekf1"))
     with pytest.raises(ConfigurationError, match="more than one camera"):
-        with_camera(begin(TRACKERS[0], 0.0), other, TRACKERS[:1])
+        with_camera(begin(TRACKERS[0], 0.0), other, TRACKERS[:1], 1)

@@ -37,6 +37,20 @@ def test_the_newest_is_taken_and_what_it_replaced_is_counted_and_released():
     assert latest.take(0.0) is None
 
 
+def test_each_camera_has_its_latest_frame_and_the_first_taken_comes_first():
+    latest, frames = LatestFrame(), [RawFrame(k) for k in range(4)]
+    for taken, (camera, raw) in enumerate(zip((1, 0, 0, 1), frames, strict=True)):
+        latest.put(Arrival(raw, float(taken), camera))
+    assert [s.released for s in frames] == [1, 1, 0, 0]  # replaced by the next of the same camera
+    assert latest.skipped == 2
+    latest.put(Arrival(RawFrame(4), 1.5, 1))
+    assert [latest.take(0.0).camera for _ in range(2)] == [1, 0]
+    assert latest.take(0.0) is None
+    latest.put(Arrival(RawFrame(5), 5.0, 1))
+    latest.clear(0)  # the other camera goes
+    assert latest.take(0.0).taken == 5.0
+
+
 def test_who_waits_is_woken_by_a_frame_and_by_a_call():
     latest = LatestFrame()
     got = []

@@ -206,17 +206,25 @@ class So3State:
         added = slice(READOUT, READOUT + CAMERA_DIM * len(other.others))
         return _with_others(self, other.joint[added, added], other.others)
 
-    def with_camera(self, covariance: Array, others: Array) -> "So3State":
-        """Return the state with one more camera, whose centre, axes and readout have a `covariance`, (7, 7).
+    def with_camera(self, prior: Array) -> "So3State":
+        """Return the state with one more camera.
 
-        `others` (7 + 7p, 7) is their covariance with the errors of the present cameras: of the one that shows this
-        frame, then of the others.
+        `prior` (14 + 7p, 14 + 7p) is the covariance that centre, axes and readout of all cameras have before any frame:
+        of the camera that shows this frame, of the others, and of the new one. The new errors are the part that those
+        of the present cameras determine, and an independent rest. So frames that have corrected the present cameras
+        correct the new one.
         """
-        n, hidden = self.map_row - 1, np.full(len(self.discs), HIDDEN_SHARE)
-        state = _with_others(self, covariance, (*self.others, OtherCamera(np.zeros(3), 0.0, hidden)))
-        new = slice(n, n + CAMERA_DIM)
-        rows = np.r_[KINEMATIC_DIM:READOUT, n + CAMERA_DIM, READOUT:n]
-        state.joint[rows, new], state.joint[new, rows] = others, others.T
+        n, hidden, k = self.map_row - 1, np.full(len(self.discs), HIDDEN_SHARE), len(prior) - CAMERA_DIM
+        present = np.r_[KINEMATIC_DIM:READOUT, n, READOUT:n]
+        G = prior[k:, :k] @ np.linalg.pinv(prior[:k, :k], hermitian=True)
+        known = G @ (self.joint[np.ix_(present, present)] - prior[:k, :k]) @ G.T
+        cross = self.joint[:, present] @ G.T
+        means = [np.r_[each.centre, np.zeros(3), each.readout] for each in (self, *self.others)]
+        mean = G @ np.concatenate(means)
+        other = OtherCamera(mean[:3], float(mean[-1]), hidden)
+        state = _with_others(self, prior[k:, k:] + 0.5 * (known + known.T), (*self.others, other))
+        new, old = slice(n, n + CAMERA_DIM), np.r_[:n, n + CAMERA_DIM : len(state.joint)]
+        state.joint[old, new], state.joint[new, old] = cross, cross.T
         return state
 
     def facing(self, which: int) -> "So3State":
