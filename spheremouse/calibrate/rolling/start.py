@@ -70,8 +70,8 @@ class Path:
         """Return the place in frame k at a constant velocity, (2,) px."""
         if len(self.frame) < 2:
             return self.centre[-1]
-        way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
-        return self.centre[-1] + way * (k - self.frame[-1])
+        velocity = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
+        return self.centre[-1] + velocity * (k - self.frame[-1])
 
     @property
     def extent(self) -> float:
@@ -81,9 +81,8 @@ class Path:
     @property
     def smooth(self) -> bool:
         """True for a steady motion; linked noise goes to and fro."""
-        way = np.diff(self.centre, axis=0) / np.diff(self.frame)[:, None]
-        turn = np.diff(way, axis=0)
-        return bool(np.mean(turn**2) < 0.25 * np.mean(way**2) + 0.1)
+        velocity = np.diff(self.centre, axis=0) / np.diff(self.frame)[:, None]
+        return bool(np.mean(np.diff(velocity, axis=0) ** 2) < 0.25 * np.mean(velocity**2) + 0.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +91,11 @@ class RollingStart:
 
     direction: Array  # (3,) unit vector in cam, to the ball's centre
     ratio: float  # distance of the centre over the radius
-    disc_angle: float  # rad, radius of a disc over that of the ball
+    disc_angle: float  # rad, of the discs, seen from the ball's centre
 
 
 def dark_spots(image: Image) -> Spots:
-    """Compact dark regions of any size in an image (h, w, 3) BGR or (h, w)."""
+    """Return the compact dark regions of any size in an image (h, w, 3) BGR or (h, w)."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     grey = cv2.GaussianBlur(grey, (0, 0), 0.8)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel()))
@@ -109,7 +108,7 @@ def dark_spots(image: Image) -> Spots:
         level = cv2.add(cv2.convertScaleAbs(background, alpha=_MIN_DEPTH), np.array(_MIN_DEPTH_SIGMAS * noise + 2.0))
         contours, _ = cv2.findContours(cv2.compare(depth, level, cv2.CMP_GT), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
-            if len(contour) >= 6 and (spot := _spot(contour, depth, 0.8 * width)) is not None:
+            if len(contour) >= 6 and (spot := _fitted_spot(contour, depth, 0.8 * width)) is not None:
                 found.append(spot)
     a = np.array(found).reshape(-1, 3)
     # the narrow closings find the rim of a large spot as further spots
@@ -118,8 +117,8 @@ def dark_spots(image: Image) -> Spots:
     return Spots(a[:, :2], a[:, 2])
 
 
-def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, float] | None:
-    """Centroid and area of a dark region; None if it is no ellipse."""
+def _fitted_spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, float] | None:
+    """Return u, v (px) and area (px²) of a dark region; None if it is no ellipse, cut, or wider than `largest` px."""
     x, y, w, h = cv2.boundingRect(contour)
     if max(w, h) > largest:
         return None
@@ -129,18 +128,18 @@ def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, f
     cv2.drawContours(inside, [contour], 0, 1, thickness=cv2.FILLED, offset=(-x0, -y0))
     if inside[[0, -1]].any() and (y0 == 0 or y + h + 1 > depth.shape[0]):
         return None
-    deep = float(np.median(patch[inside > 0]))
-    near = cv2.dilate(inside, np.ones((3, 3), np.uint8))
-    cover = np.clip(patch / max(deep, 1.0), 0.0, 1.0) * near  # share of each pixel in the disc
-    m = cv2.moments(cover)
+    median_depth = float(np.median(patch[inside > 0]))
+    with_rim = cv2.dilate(inside, np.ones((3, 3), np.uint8))
+    coverage = np.clip(patch / max(median_depth, 1.0), 0.0, 1.0) * with_rim  # share of each pixel in the disc
+    m = cv2.moments(coverage)
     area = m["m00"]
     if area < _MIN_AREA:
         return None
     xx, xy, yy = (m[k] / area for k in ("mu20", "mu11", "mu02"))
     root = np.hypot(0.5 * (xx - yy), xy)
     minor, major = np.sqrt(max(0.5 * (xx + yy) - root, 1e-6)), np.sqrt(0.5 * (xx + yy) + root)
-    misfit = abs(area / (4.0 * np.pi * minor * major) - 1.0)
-    if minor < _MIN_AXIS_RATIO * major or misfit > _MAX_AREA_ERROR + 1.0 / np.sqrt(area):
+    area_error = abs(area / (4.0 * np.pi * minor * major) - 1.0)
+    if minor < _MIN_AXIS_RATIO * major or area_error > _MAX_AREA_ERROR + 1.0 / np.sqrt(area):
         return None
     return x0 + m["m10"] / area, y0 + m["m01"] / area, float(area)
 
@@ -174,53 +173,53 @@ class _Pairs:
 
     before: Array  # (p, n, 3) unit rays in cam
     after: Array  # (p, n, 3)
-    there: NDArray[np.bool_]  # (p, n)
+    present: NDArray[np.bool_]  # (p, n), False beyond a pair's spots and for a spot without a ray
     path: NDArray[np.intp]  # (p, n) index of the spot's path
 
     def every(self, step: int) -> "_Pairs":
         """Select every n-th pair."""
-        return _Pairs(self.before[::step], self.after[::step], self.there[::step], self.path[::step])
+        return _Pairs(self.before[::step], self.after[::step], self.present[::step], self.path[::step])
 
 
 def start(spots: Sequence[Spots], camera: InteriorOrientation) -> RollingStart:
     """Find the rolling ball; raises CalibrationError if nothing moves, or nothing that rotates as one ball."""
-    least = max(_MIN_MOTION_SHARE * camera.width, _MIN_MOTION)
-    far = [p for p in follow(spots, camera.width) if p.extent > least and p.smooth]
-    if len(far) < 3:
+    min_motion = max(_MIN_MOTION_SHARE * camera.width, _MIN_MOTION)
+    moving = [p for p in follow(spots, camera.width) if p.extent > min_motion and p.smooth]
+    if len(moving) < 3:
         raise CalibrationError(
-            f"{len(far)} dark spot{'s' if len(far) != 1 else ''} moved: no ball with discs is seen to turn; "
+            f"{len(moving)} dark spot{'s' if len(moving) != 1 else ''} moved: no ball with discs is seen to turn; "
             "light it, put discs on it, and roll it on in all directions"
         )
-    found = _turning(far, camera)
+    found = _rotating_ball(moving, camera)
     if found is None:
         raise CalibrationError(
             "the dark spots that move do not turn as one ball about its centre: keep hands and all else that moves "
             "out of the picture, leave the camera where it is, and roll the ball on, slowly"
         )
-    direction, ratio, fitting = found
+    direction, ratio, on_ball = found
     rig = start_rig(RollingStart(direction, ratio, 0.02), camera)
     pose = Pose(np.eye(3), -direction * ratio)
-    beside = [p for p in far if len(directions_at(np.array(p.centre), rig, pose)[1]) == 0]
-    if len(beside) >= 4 and _turning(beside, camera) is not None:
+    beside = [p for p in moving if len(directions_at(np.array(p.centre), rig, pose)[1]) == 0]
+    if len(beside) >= 4 and _rotating_ball(beside, camera) is not None:
         raise CalibrationError("two balls turn in the picture: roll one alone, and cover the other")
-    return RollingStart(direction, ratio, _disc_angle(fitting, rig, pose))
+    return RollingStart(direction, ratio, _disc_angle(on_ball, rig, pose))
 
 
-def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, list[Path]] | None:
-    """Direction and ratio of the ball that spots rotate with, and their paths; None without a ball."""
-    pairs = _pairs(paths, camera)
-    if len(pairs.there) < _MIN_PAIRS:
+def _rotating_ball(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, list[Path]] | None:
+    """Return direction and ratio of the ball that the spots turn with, and the paths on it; None without a ball."""
+    pairs = _informative_pairs(paths, camera)
+    if len(pairs.present) < _MIN_PAIRS or not pairs.present.any():
         return None
-    found = _search(pairs, paths, camera)
-    residual = _residuals(found[None], pairs, camera.fx)[0]
-    on = pairs.there & np.isfinite(residual)
-    if np.count_nonzero(on) < _MIN_BALL_SHARE * np.count_nonzero(pairs.there):
+    best = _search_ball(pairs, paths, camera)
+    residual = _residuals(best[None], pairs, camera.fx)[0]
+    hit = pairs.present & np.isfinite(residual)
+    if np.count_nonzero(hit) < _MIN_BALL_SHARE * np.count_nonzero(pairs.present):
         return None
-    if np.median(residual[on]) > _RESIDUAL_SCALE_PX or np.mean(residual[on] < 3.0 * _RESIDUAL_SCALE_PX) < 0.5:
+    if np.median(residual[hit]) > _RESIDUAL_SCALE_PX or np.mean(residual[hit] < 3.0 * _RESIDUAL_SCALE_PX) < 0.5:
         return None
-    fits = pairs.there & (residual < 3.0 * _RESIDUAL_SCALE_PX)
-    good, all_ = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.there))
-    return *_unpacked(found), [p for p, g, n in zip(paths, good, all_, strict=True) if 2 * g > n]
+    fits = pairs.present & (residual < 3.0 * _RESIDUAL_SCALE_PX)
+    fitting, total = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.present))
+    return *_direction_and_ratio(best), [p for p, k, n in zip(paths, fitting, total, strict=True) if 2 * k > n]
 
 
 def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:
@@ -228,24 +227,23 @@ def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:
     return Rig(camera, Ball(1.0), NO_TARGETS, found.disc_angle, scale_free=True)
 
 
-def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
-    """The most informative pairs of frames: many common spots that moved far."""
+def _informative_pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
+    """Return the most informative pairs of frames: many common spots that moved far."""
     last = max(int(p.frame[-1]) for p in paths) + 1
     at = np.full((last, len(paths), 2), np.nan)
     for i, p in enumerate(paths):
         at[p.frame, i] = p.centre
-    far = 0.15 * camera.width
+    max_distance = 0.15 * camera.width
     scored: list[tuple[float, int, int]] = []
     for f in range(0, last - 1, max(1, last // 600)):
         best = (0.0, 0, 0)
         for lag in _LAG_FRAMES:
             if f + lag >= last:
                 break
-            way = np.linalg.norm(at[f + lag] - at[f], axis=1)
-            n = np.count_nonzero(np.isfinite(way))
+            distances = np.linalg.norm(at[f + lag] - at[f], axis=1)
+            n = np.count_nonzero(np.isfinite(distances))
             if n >= 3:
-                distance = float(np.nanmedian(way))
-                best = max(best, ((n - 2.5) * min(distance, far), f, f + lag))
+                best = max(best, ((n - 2.5) * min(float(np.nanmedian(distances)), max_distance), f, f + lag))
         if best[0] > 0.0:
             scored.append(best)
     # the best of each part of the time, so that all directions of rolling count
@@ -258,34 +256,37 @@ def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
     path = np.zeros((len(chosen), most), dtype=np.intp)
     for k, (_, f, g) in enumerate(chosen):
         common = np.flatnonzero(np.isfinite(at[g, :, 0] + at[f, :, 0]))
-        before[k, : len(common)], after[k, : len(common)] = _rays(at[f, common], camera), _rays(at[g, common], camera)
+        before[k, : len(common)], after[k, : len(common)] = (
+            _unit_rays(at[f, common], camera),
+            _unit_rays(at[g, common], camera),
+        )
         valid[k, : len(common)], path[k, : len(common)] = True, common
     valid &= np.isfinite(before[..., 0] + after[..., 0])
     return _Pairs(np.nan_to_num(before), np.nan_to_num(after), valid, path)
 
 
-def _rays(uv: Array, camera: InteriorOrientation) -> Array:
+def _unit_rays(uv: Array, camera: InteriorOrientation) -> Array:
     xy, _ = unproject(uv, camera)
     ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
-def _unpacked(x: Array) -> tuple[Array, float]:
-    """Direction and distance over radius of (x/z, y/z, log of the angular radius)."""
+def _direction_and_ratio(x: Array) -> tuple[Array, float]:
+    """Return direction and distance over radius of (x/z, y/z, log of the angular radius in rad)."""
     c = np.array([x[0], x[1], 1.0])
     return c / np.linalg.norm(c), float(1.0 / np.sin(np.exp(x[2])))
 
 
 def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
-    """Residuals, px, of the spots of h hypotheses, (h, 3) as in `_unpacked`, from their rotation, (h, p, n).
+    """Return residuals (h, p, n) px from the rotation of each pair, for h hypotheses, (h, 3) as `_search_ball` returns.
 
-    inf for a ray that misses the ball. The rotation is robust, by reweighting.
+    A ray that misses the ball has inf. The rotation is robust, by reweighting.
     """
     c = np.concatenate([x[:, :2], np.ones((len(x), 1))], axis=1)
     c /= np.linalg.norm(c, axis=1, keepdims=True)
     D = 1.0 / np.sin(np.exp(np.minimum(x[:, 2], np.log(1.5))))
     centre = (c * D[:, None])[:, None, None, :]
-    on, hit = [], np.broadcast_to(pairs.there, (len(x), *pairs.there.shape)).copy()
+    on, hit = [], np.broadcast_to(pairs.present, (len(x), *pairs.present.shape)).copy()
     for ray in (pairs.before, pairs.after):
         b = np.einsum("pnj,hj->hpn", ray, c) * D[:, None, None]
         root = b * b - (D * D - 1.0)[:, None, None]
@@ -300,32 +301,32 @@ def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
         left[..., :, 2] *= np.linalg.det(left @ right)[..., None]
         turned = u @ (left @ right).swapaxes(-1, -2) + centre
         z = np.maximum(turned[..., 2], 1e-3)
-        way = turned[..., :2] / z[..., None] - (pairs.after[..., :2] / pairs.after[..., 2:])[None]
-        residual = np.where(hit, focal * np.linalg.norm(way, axis=-1), np.inf)
+        error = turned[..., :2] / z[..., None] - (pairs.after[..., :2] / pairs.after[..., 2:])[None]
+        residual = np.where(hit, focal * np.linalg.norm(error, axis=-1), np.inf)
         weight = hit / (1.0 + np.where(hit, residual / (2.0 * _RESIDUAL_SCALE_PX), 0.0) ** 2)
     return residual
 
 
 def _cost(x: Array, pairs: _Pairs, focal: float, scale: float) -> Array:
-    """Robust cost of h hypotheses, (h,); a ray that misses the ball is a gross error.
+    """Return the robust cost of h hypotheses, (h,); a ray that misses the ball is a gross error. `scale` is in px.
 
     Pairs count by their degrees of freedom: three spots less a rotation's three angles leave half.
     """
-    residual = _residuals(x, pairs, focal)
-    freedom = np.maximum(pairs.there.sum(axis=1) - 1.5, 0.1)
-    share = freedom / pairs.there.sum(axis=1)
-    far = np.minimum(residual, 10.0 * scale) / scale
-    value = np.where(pairs.there, np.log1p(far**2), 0.0)
-    return np.einsum("hpn,p->h", value, 1.0 / np.maximum(share, 0.1)) / pairs.there.sum()
+    count = np.maximum(pairs.present.sum(axis=1), 1)
+    relative = np.minimum(_residuals(x, pairs, focal), 10.0 * scale) / scale
+    value = np.where(pairs.present, np.log1p(relative**2), 0.0)
+    return np.einsum("hpn,p->h", value, 1.0 / np.maximum((count - 1.5) / count, 0.1)) / pairs.present.sum()
 
 
-def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -> Array:
-    """The best (x/z, y/z, log of the angular radius): a grid over all possible ones, then a few refinements."""
-    everywhere = np.concatenate([p.centre for p in paths])
-    low, high = np.quantile(everywhere, [0.02, 0.98], axis=0)
-    xy = np.nan_to_num(_rays(np.array([low, high]), camera))
-    xy = xy[:, :2] / xy[:, 2:]
-    middle, half = xy.mean(axis=0), 0.5 * np.ptp(xy, axis=0)
+def _search_ball(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -> Array:
+    """Return the ball that the spots turn with, (3,): x/z and y/z of its centre in cam, log of its angular radius, rad.
+
+    A grid over the middle of the spots and sizes of 0.35 to 3 times theirs, then refinements.
+    """
+    rays = _unit_rays(np.concatenate([p.centre for p in paths]), camera)
+    rays = rays[np.isfinite(rays[:, 2])]
+    box = np.quantile(rays[:, :2] / rays[:, 2:], [0.02, 0.98], axis=0)
+    middle, half = box.mean(axis=0), 0.5 * np.ptp(box, axis=0)
     half = np.maximum(half, 0.3 * half.max())
     largest = float(np.arctan(half.max()))
     sizes = np.log(np.minimum(largest * np.geomspace(0.35, 3.0, _SIZES), 1.2))
@@ -333,41 +334,47 @@ def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -
     grid = np.array(
         [[middle[0] + a * half[0], middle[1] + b * half[1], s] for s in sizes for a in nodes for b in nodes]
     )
-    subset = pairs.every(max(1, min(_COARSE_STEP, len(pairs.there) // 20)))
+    subset = pairs.every(max(1, min(_COARSE_STEP, len(pairs.present) // 20)))
     cost = np.concatenate(
         [_cost(g, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX) for g in np.array_split(grid, len(grid) // 100 + 1)]
     )
     starts = grid[np.argsort(cost)[:_MAX_NODES]]
-    starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), np.inf)[:_MAX_STARTS]]
-    near = [_refined(start, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
-    best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _RESIDUAL_SCALE_PX)))]
-    for scale, reach in ((_RESIDUAL_SCALE_PX, 0.02), (0.3 * _RESIDUAL_SCALE_PX, 0.004)):
-        best = _refined(best, pairs, camera.fx, scale, reach * half.max())
+    starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), norm=np.inf)[:_MAX_STARTS]]
+    refined = [_minimised(start, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
+    best = refined[int(np.argmin(_cost(np.array(refined), pairs, camera.fx, _RESIDUAL_SCALE_PX)))]
+    for scale, step in ((_RESIDUAL_SCALE_PX, 0.02), (0.3 * _RESIDUAL_SCALE_PX, 0.004)):
+        best = _minimised(best, pairs, camera.fx, scale, step * half.max())
     return best
 
 
-def _refined(x: Array, pairs: _Pairs, focal: float, scale: float, reach: float) -> Array:
-    """The minimum of the cost near x."""
-    found = minimize(
+def _minimised(x: Array, pairs: _Pairs, focal: float, scale: float, step: float) -> Array:
+    """Return the minimum of the cost near x, (3,). `step` is the size of the first simplex in x/z and y/z."""
+    minimum = minimize(
         lambda y: float(_cost(y[None], pairs, focal, scale)[0]),
         x,
         method="Nelder-Mead",
         options={
-            "initial_simplex": x + np.vstack([np.zeros(3), np.diag([reach, reach, 2.0 * reach])]),
+            "initial_simplex": x + np.vstack([np.zeros(3), np.diag([step, step, 2.0 * step])]),
             "xatol": 1e-5,
             "fatol": 1e-6,
             "maxfev": 200,
         },
     )
-    return np.asarray(found.x)
+    return np.asarray(minimum.x)
 
 
 def _disc_angle(paths: Sequence[Path], rig: Rig, pose: Pose) -> float:
-    """Radius of the discs over the ball's, from the areas of the spots that moved."""
+    """Return the angular radius of the discs, rad, seen from the ball's centre, from the areas of the moving spots.
+
+    Raises CalibrationError if no disc is whole.
+    """
     uv, area = np.concatenate([p.centre for p in paths]), np.concatenate([p.area for p in paths])
     directions, index = directions_at(uv, rig, pose)
-    share = area[index] / appearance(directions, rig, pose).area
-    share = share[np.isfinite(share)]
-    if len(share) == 0:
-        raise CalibrationError("the dark spots that move are not on the ball that they turn with: roll the ball alone")
-    return rig.disc_angle * float(np.sqrt(np.median(share)))
+    area_ratio = area[index] / appearance(directions, rig, pose).area
+    area_ratio = area_ratio[np.isfinite(area_ratio)]
+    if len(area_ratio) == 0:
+        raise CalibrationError(
+            "all discs that turn lie at the ball's edge in the picture",
+            "show the ball from another side, and roll it on",
+        )
+    return rig.disc_angle * float(np.sqrt(np.median(area_ratio)))

@@ -207,6 +207,18 @@ def test_the_start_finds_the_ball(seed):
     assert np.linalg.norm(np.cross(found.direction, truth.direction)) < np.deg2rad(0.2)
 
 
+def test_the_start_finds_the_ball_through_a_lens_that_has_no_ray_in_the_corners():
+    lens = InteriorOrientation(640, 480, 400.0, 400.0, 319.5, 239.5, np.array([-0.5, 0.0, 0.0, 0.0, 0.0]))
+    R, d, centre = play(24, 15.0, np.random.default_rng(1))[0], directions(25, 0), np.array([0.0, 0.0, 2.2])
+    on_ball = d @ R.swapaxes(1, 2)
+    facing = on_ball @ [0.0, 0.0, 1.0] < -0.55
+    seen = [
+        Spots(project(centre + p[f], lens)[0], np.full(np.count_nonzero(f), 120.0))
+        for p, f in zip(on_ball, facing, strict=True)
+    ]
+    assert abs(start(seen, lens).ratio / 2.2 - 1.0) < 0.02
+
+
 def test_nothing_that_moves_is_no_ball():
     rest = [Spots(np.array([[100.0, 100.0], [300.0, 200.0], [400.0, 250.0]]), np.full(3, 80.0))] * 60
     with pytest.raises(CalibrationError, match="no ball with discs is seen to turn"):
