@@ -150,7 +150,7 @@ def pool(m: int, least: float) -> Callable[[int], np.ndarray]:
     return lambda trial: maps[trial % 100]
 
 
-HEAD = ["found, %", "refused, %", "wrong", "time, ms: median, 99 %"]
+HEAD = ["found, %", "refused, %", "wrong, number", "time, ms: median, 99 %"]
 
 
 def fine(trials: int, maps: dict[str, Callable[[int], np.ndarray]]) -> str:
