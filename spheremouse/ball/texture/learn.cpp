@@ -147,21 +147,23 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
             throw nb::type_error("mean, odds, offset: must have the shape of direction");
     const float variance = float(noise * noise), least = float(apart_ * apart_) * variance,
                 limit = MOST_OF_OFFSET * float(noise);
-    for (int i = 0; i < samples.size(); i++) {
-        if (!(samples.direction[3 * size_t(i)] < 2.0f)) continue;
-        const float now = samples.at(i / samples.columns, i % samples.columns);
-        float &before = mean.data()[i], &light = offset.data()[i];
-        const Look seen = look(picture, place_on(R.transpose() * samples.towards(i), picture.n));
-        if (seen.weight > LEAST_WEIGHT) {
-            const float apart = before - seen.value, stays = now - before, turns = now - seen.value;
-            if (apart * apart > least) {
-                const float nats = 0.5f * (stays * stays - turns * turns) / variance;
-                float& o = odds.data()[i];
-                o = std::clamp(o + std::clamp(nats, -MOST_PER_FRAME, MOST_PER_FRAME), -MOST_ODDS, MOST_ODDS);
-            }
-            if (std::isfinite(turns)) light += float(settle) * std::clamp(turns, -limit, limit);
+    const Pixels pixels = pixels_on_ball(samples, -INFINITY);
+    Look seen;
+    for (size_t first = 0; first < pixels.size(); first += Look::MOST) {
+        seen.at(picture, R.transpose(), pixels, first);
+        for (size_t k = 0; k < seen.size; k++) {
+            const int i = pixels.sample[first + k];
+            float &before = mean.data()[i], &light = offset.data()[i], &o = odds.data()[i];
+            const float now = pixels.contrast[first + k], apart = before - seen.value[k], stays = now - before,
+                        turns = now - seen.value[k];
+            const bool known = seen.weight[k] > LEAST_WEIGHT;
+            const float nats = 0.5f * (stays * stays - turns * turns) / variance;
+            const float after =
+                std::clamp(o + std::clamp(nats, -MOST_PER_FRAME, MOST_PER_FRAME), -MOST_ODDS, MOST_ODDS);
+            if (known && apart * apart > least) o = after;
+            if (known && std::isfinite(turns)) light += float(settle) * std::clamp(turns, -limit, limit);
+            before += float(share) * stays;
         }
-        before += float(share) * (now - before);
     }
 }
 

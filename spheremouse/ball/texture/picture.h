@@ -26,24 +26,24 @@ struct Picture {
 /// A place on the picture: the cell above and left of it, and the shares of the next row and column.
 struct Place {
     int face, row, column;
-    float down, right;
-    float by_row, by_column, inverse, sign;  // coordinates on the face, and one over the depth
-
-    int tile(int n) const { return (face * (n / TILE) + row / TILE) * (n / TILE) + column / TILE; }
+    float down, right, by_row, by_column, sign;  // coordinates on the face, and the sign of its axis
 };
 
 /// Return the last cell of a row of n at or before `x` that has a next one. It exists for any `x`, nan as well.
-inline int cell_before(float x, int n) { return x > 0.0f ? int(std::min(x, float(n - 2))) : 0; }
+inline int cell_before(float x, int n) {
+    const float last = float(n - 2);
+    return int(x > 0.0f ? (x < last ? x : last) : 0.0f);
+}
 
-inline Place place_on(const Vector3f& x, int n) {
-    const Vector3f size = x.cwiseAbs();
-    const int axis = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : (size[1] >= size[2] ? 1 : 2);
-    const int next = axis == 2 ? 0 : axis + 1, last = axis == 0 ? 2 : axis - 1;
-    const float sign = x[axis] < 0.0f ? -1.0f : 1.0f, inverse = 1.0f / size[axis], k = float(n) / (2.0f * HALF);
-    const float a = x[next] * inverse, b = x[last] * inverse;
+/// Return the place of a direction. It has no branch, so that a loop of it has vectors.
+inline Place place_on(float x, float y, float z, int n) {
+    const float size_x = std::abs(x), size_y = std::abs(y), size_z = std::abs(z), k = float(n) / (2.0f * HALF);
+    const bool is_x = (size_x >= size_y) & (size_x >= size_z), is_y = !is_x & (size_y >= size_z);
+    const float depth = is_x ? x : is_y ? y : z, inverse = 1.0f / std::abs(depth);
+    const float a = (is_x ? y : is_y ? z : x) * inverse, b = (is_x ? z : is_y ? x : y) * inverse;
     const float row = (a + HALF) * k - 0.5f, column = (b + HALF) * k - 0.5f;
-    const int i = cell_before(row, n), j = cell_before(column, n);
-    return {2 * axis + (sign < 0.0f), i, j, row - float(i), column - float(j), a, b, inverse, sign};
+    const int i = cell_before(row, n), j = cell_before(column, n), below = depth < 0.0f ? 1 : 0;
+    return {(is_x ? 0 : is_y ? 2 : 4) + below, i, j, row - float(i), column - float(j), a, b, below ? -1.0f : 1.0f};
 }
 
 /// Return the direction of a cell of a face; it has no unit length.
@@ -55,27 +55,6 @@ inline Vector3f direction_of(int face, float row, float column, int n) {
     x[(axis + 1) % 3] = (row + 0.5f) * k - HALF;
     x[(axis + 2) % 3] = (column + 0.5f) * k - HALF;
     return x;
-}
-
-/// What the picture shows at a place: value, its gradient by the direction (ball), and the least weight of the cells.
-struct Look {
-    float value, weight;
-    Vector3f gradient;
-};
-
-inline Look look(const Picture& picture, const Place& p) {
-    const size_t at = (size_t(p.face) * picture.n + p.row) * picture.n + p.column, below = at + picture.n;
-    const float *v = picture.value, *w = picture.weight;
-    const float across = v[at + 1] - v[at], across_below = v[below + 1] - v[below];
-    const float left = v[at] + p.down * (v[below] - v[at]), slope = across + p.down * (across_below - across);
-    const float k = float(picture.n) / (2.0f * HALF);
-    const float by_row = k * (v[below] - v[at] + p.right * (across_below - across)), by_column = k * slope;
-    Look r{left + p.right * slope, std::min(std::min(w[at], w[at + 1]), std::min(w[below], w[below + 1])), {}};
-    const int axis = p.face / 2;
-    r.gradient[axis] = -(by_row * p.by_row + by_column * p.by_column) * p.inverse * p.sign;
-    r.gradient[(axis + 1) % 3] = by_row * p.inverse;
-    r.gradient[(axis + 2) % 3] = by_column * p.inverse;
-    return r;
 }
 
 /// The samples of a picture of the camera, every few pixels: each with its direction on the ball.
@@ -90,8 +69,38 @@ struct Samples {
     float at(int row, int column) const {
         return contrast[size_t(row * step) * width + size_t(column * step)] - offset[row * columns + column];
     }
-    Vector3f towards(int i) const { return Eigen::Map<const Vector3f>(direction + 3 * size_t(i)); }
 };
+
+/// Samples in columns: number, contrast, and direction (obj).
+struct Pixels {
+    std::vector<int> sample;
+    std::vector<float> contrast, x, y, z;
+
+    size_t size() const { return sample.size(); }
+    void add(int number, float c, float dx, float dy, float dz) {
+        sample.push_back(number);
+        contrast.push_back(c);
+        x.push_back(dx), y.push_back(dy), z.push_back(dz);
+    }
+    void add(const Pixels& other, size_t i) {
+        add(other.sample[i], other.contrast[i], other.x[i], other.y[i], other.z[i]);
+    }
+};
+
+/// What a picture shows in the directions of some pixels.
+struct Look {
+    static constexpr size_t MOST = 64;
+    size_t size;
+    float value[MOST], weight[MOST];           // weight: the least of the four cells
+    float by_x[MOST], by_y[MOST], by_z[MOST];  // change of the value by a rotation of the ball, in its axes
+    int tile[MOST];
+
+    /// Look at up to `MOST` pixels from the `first` on, at an attitude `towards`, R_ball_obj.
+    void at(const Picture& picture, const Matrix3f& towards, const Pixels& pixels, size_t first);
+};
+
+/// Return the samples on the ball whose log odds are at least so large.
+Pixels pixels_on_ball(const Samples& samples, float least_odds);
 
 Picture read_picture(nb::tuple picture);
 Samples read_samples(nb::tuple samples);
