@@ -1,12 +1,12 @@
 """Measure what outputs cost.
 
-python -m tests.outputs_cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each with
-its thread as in a run. Each round has a second of each output and one without, in a random order. The table has the
+python -m tests.outputs_cost [OUTPUT ...] publishes 100 tracked samples a second to one output after another, each as
+in a run. Each round has a third of a second of each output and one without, in a random order. The table has the
 processor time of this process for each sample, less that without an output in the same round: the median and its
 interval of 95 %. A sample is made when it is published, as by a tracker, so its numbers are in the processor's cache.
 Receivers are other processes, and not counted. `{port}` in an OUTPUT is a free port, `{folder}` a new folder. `watch`
-is a client of `ctl watch`, and `gamepad` writes its events to the null device. An OUTPUT with spaces is several
-outputs of one run, and the table has the time for each of them.
+is a client of `ctl watch`, `gamepad` writes its events to the null device, and `thread` does nothing in a thread. An
+OUTPUT with spaces is several outputs of one run, and the table has the time for each of them.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import quantile_test
 
-from spheremouse.output import Report, open_output
+from spheremouse.output import Output, Report, open_output
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
@@ -36,8 +36,9 @@ from tests.reporting import free_port
 
 FPS = 60.0  # frames/s
 SAMPLES_PER_S = 100.0  # to measure the cost
-WARM_UP = 20  # samples of each second that are not measured
+WARM_UP, COUNT = 5, 30  # samples of each round that are not measured, and that are
 OUTPUTS = (
+    "thread",
     "null",
     "text:{folder}/samples.json",
     "text:{folder}/fictrac.txt,format=fictrac",
@@ -110,6 +111,13 @@ def receiver(spec):
             process.terminate()
 
 
+class Thread(Output):
+    """Does nothing, in a thread of its own."""
+
+    def send(self, report):
+        pass
+
+
 class NullDevice:
     """The null device in place of /dev/uinput."""
 
@@ -128,25 +136,23 @@ def subscriber(spec):
         with ControlServer(Path(rest), ControlSettings(), lambda pending: pending.answer({})) as server:
             yield lambda report, taken: server.submit(report)
         return
-    open_it = (lambda: Gamepad(NullDevice(), STICK)) if kind == "gamepad" else (lambda: open_output(spec))
+    open_it = {"gamepad": lambda: Gamepad(NullDevice(), STICK), "thread": Thread}.get(kind, lambda: open_output(spec))
     output = RunOutput(spec, OutputThread(open_it, PointerSettings(), print), OutputCounter(COUNTS))
     yield lambda report, taken: output.submit(report, taken, wanted=True)
     output.thread.close()
 
 
-def processor_time(publish, count=WARM_UP + int(SAMPLES_PER_S)):
-    """Return the processor time of this process, s a sample, to make and publish reports at `SAMPLES_PER_S`."""
-    processor, start = 0.0, time.monotonic()
-    for k in range(count):
-        if k == WARM_UP:
-            processor = time.process_time()
-        taken = start + k / SAMPLES_PER_S
-        time.sleep(max(0.0, taken - time.monotonic()))
-        made = report(k)
+def processor_time(publish):
+    """Return the processor time of this process, s a sample, to publish reports at `SAMPLES_PER_S`."""
+    spent, start = 0.0, time.monotonic()
+    for k in range(WARM_UP + COUNT):
+        made, taken = report(k), start + k / SAMPLES_PER_S
+        before = time.process_time()
         for submit in publish:
             submit(made, taken)
-    time.sleep(1.0 / SAMPLES_PER_S)
-    return (time.process_time() - processor) / (count - WARM_UP)
+        time.sleep(max(0.0, taken + 1.0 / SAMPLES_PER_S - time.monotonic()))
+        spent += time.process_time() - before if k >= WARM_UP else 0.0
+    return spent / COUNT
 
 
 def cost(specs, rounds):
@@ -177,7 +183,7 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("outputs", nargs="*", default=OUTPUTS)
-    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--rounds", type=int, default=20)
     given = parser.parse_args()
     cost(given.outputs, given.rounds)
 

@@ -134,6 +134,7 @@ class Output:
     """
 
     paced: bool = False  # True: counts at a steady rate, predicted between frames; False: a report a frame
+    blocks: bool = True  # `send` may wait for a device, disk or receiver; False: the tracker's thread calls it
     hang_hint: str = ""  # usual reason why a call hangs
 
     def begin(self, describe_run: DescribeRun) -> None:
@@ -180,7 +181,7 @@ def _applies_response(spec: str) -> bool:
 
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
-    members = ("send", "begin", "delivery", "drop_waiting", "paced", "hang_hint", "__enter__", "__exit__")
+    members = ("send", "begin", "delivery", "drop_waiting", "paced", "blocks", "hang_hint", "__enter__", "__exit__")
     return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
 
 

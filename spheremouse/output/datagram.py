@@ -11,6 +11,8 @@ from spheremouse.output.address import resolve
 class DatagramOutput(Output):
     """Sends datagrams. Derive an output from it and override `datagrams`."""
 
+    blocks = False
+
     def __init__(self, name: str, host: str, port: int) -> None:
         """Open a socket. The host may be a broadcast address; `name` begins each message of an error."""
         self._name = name

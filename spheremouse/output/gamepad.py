@@ -47,6 +47,8 @@ def to_sticks(report: Report, response: Response) -> Sticks | None:
 class Gamepad(Output):
     """The kernel's gamepad."""
 
+    blocks = False
+
     def __init__(self, device: Any, response: Response) -> None:
         self._device, self._response, self._lock = device, response, threading.Lock()
         self._watchdog = Watchdog(self._release)

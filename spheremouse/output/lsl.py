@@ -33,6 +33,7 @@ class Lsl(Output):
             return
         if self._outlet is None:
             self._outlet = self._new_outlet(columns(report.samples[0].coordinates))
+            self.blocks = False
         clock, wall = self._pylsl.local_clock(), time.time()
         for sample, row in zip(report.samples, rows(report), strict=True):
             stamp = clock if sample.wall is None else clock - (wall - sample.wall)

@@ -8,6 +8,8 @@ from spheremouse.output import Output, Report
 class Null(Output):
     """An output that discards all reports."""
 
+    blocks = False
+
     def send(self, report: Report) -> None:
         """Discard the report."""
 

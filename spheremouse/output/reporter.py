@@ -1,7 +1,8 @@
 """Send the motion of frames to one output, from a thread that keeps the output open.
 
-The thread wakes for each frame and, while the pointer's prediction runs, at a steady rate. No exception of an output
-leaves the thread. If an output fails, the thread closes it and opens it again after a growing delay. It counts the
+The thread wakes for each frame and, while the pointer's prediction runs, at a steady rate. If the output never blocks,
+the caller of `submit` sends, since waking a thread costs more than most outputs do. No exception of an output leaves
+this module. If an output fails, the thread closes it and opens it again after a growing delay. It counts the
 motion of that time as unsent. An output that reports trouble of its receiver stays open and gets empty reports until it
 recovers. The thread cannot notice that it hangs itself in a call of the output. The callers of `submit` and of
 `failed` notice it.
@@ -60,6 +61,7 @@ class OutputThread:
         self._queue: deque[_QueuedReport] = deque()
         self._overflow, self._overflowed = _NONE, 0  # counts and frames that the queue did not hold
         self._closing = self._paused = self._ended = False
+        self._turn = threading.Lock()  # of the thread, or the caller of `submit`, that works on the output
         self._output: Output | None = None
         self._failed: str | None = None
         self._unproven: str | None = None  # reason of a failure, once the output is open again and took no report yet
@@ -80,11 +82,18 @@ class OutputThread:
         start(self._thread)
 
     def submit(self, report: Report, taken: float, *, wanted: bool = True) -> None:
-        """Queue a frame's report, taken at a time (s, of the clock), without blocking.
+        """Send or queue a frame's report, taken at a time (s, of the clock), without blocking.
 
         If it is not `wanted`, or during a pause, its counts become unsent.
         """
-        self._queue.append((report, taken, wanted and not self._paused, self._clock()))
+        output, wanted = self._output, wanted and not self._paused
+        at_once = output is not None and not (output.blocks or self._paced or self._queue)
+        if at_once and self._turn.acquire(blocking=False):
+            try:
+                return self._take(report, taken, wanted, taken)
+            finally:
+                self._turn.release()
+        self._queue.append((report, taken, wanted, self._clock()))
         if len(self._queue) > MAX_QUEUED_FRAMES:
             with contextlib.suppress(IndexError):  # the thread has emptied the queue
                 self._overflow = plus(self._overflow, self._queue.popleft()[0].counts)
@@ -172,17 +181,19 @@ class OutputThread:
         """Send what is due until `close`. After an unexpected exception, `_work` opens the output again with delay."""
         try:
             while not self._closing:
-                try:
-                    wait = self._work()
-                except Exception as e:
-                    self._log(internal_error_text())
-                    self._fail(f"internal error: {_reason(e)}", e)
-                    wait = 0.0
+                with self._turn:
+                    try:
+                        wait = self._work()
+                    except Exception as e:
+                        self._log(internal_error_text())
+                        self._fail(f"internal error: {_reason(e)}", e)
+                        wait = 0.0
                 if wait > 0.0:
                     self._wakeup.acquire(timeout=min(wait, threading.TIMEOUT_MAX))
         finally:
-            self._close()
-            self._drop_queue()
+            with self._turn:
+                self._close()
+                self._drop_queue()
 
     def _work(self) -> float:
         """Do all work that is due, and return the time (s) until the next, if no report is submitted before."""
@@ -313,6 +324,7 @@ class OutputThread:
         self._failed, self._unproven = reason, None
         self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
+        self._wake_thread()  # to open it again
 
     def _close(self, error: Exception | None = None) -> None:
         """Close the output, after the `error` that made it fail if there is one."""

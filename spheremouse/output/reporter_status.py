@@ -1,6 +1,6 @@
 """Condition of an output, sums of its counts, and its latency."""
 
-from array import array
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,15 +23,12 @@ class LatencyLog:
     """Latencies of the last frames, added by one thread and read by others."""
 
     def __init__(self) -> None:
-        self._seconds, self._frames = array("d", [0.0]) * LATENCY_COUNT, 0
-
-    def add(self, seconds: float) -> None:
-        self._seconds[self._frames % LATENCY_COUNT] = seconds
-        self._frames += 1
+        self._seconds = deque[float](maxlen=LATENCY_COUNT)
+        self.add = self._seconds.append
 
     def summary(self) -> Latency | None:
         """Return quantiles and maximum; None before the first frame."""
-        last = self._seconds[: min(self._frames, LATENCY_COUNT)]
+        last = tuple(self._seconds)
         if not last:
             return None
         p50, p99 = np.percentile(last, (50.0, 99.0)).tolist()

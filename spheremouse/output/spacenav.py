@@ -35,6 +35,8 @@ def to_rotation(report: Report, response: Response) -> list[float] | None:
 class SpaceNav(Output):
     """Turns the objects of libspnav's clients."""
 
+    blocks = False
+
     def __init__(self, path: Path, response: Response) -> None:
         self._response, self._server = response, SpnavServer(path)
         self._lock, self._moving = threading.Lock(), False

@@ -130,6 +130,39 @@ def test_every_frame_is_sent_once_even_if_it_is_empty(start):
     assert (status.failed, status.sent, status.unsent, status.ahead) == (None, (8, -2, 1), (0, 0, 0), (0, 0, 0))
 
 
+class NonBlocking(Fake):
+    paced = blocks = False
+
+
+def test_a_report_to_an_output_that_never_blocks_is_sent_by_its_caller(start):
+    """So no thread wakes for it. The thread opens the output, also after a failure. No count is missing."""
+    world = World()
+    senders = []
+
+    class Recorded(NonBlocking):
+        def send(self, report):
+            senders.append(threading.current_thread())
+            super().send(report)
+
+    reporter, given = start(world, open_it=lambda: world.open() and Recorded(world))
+    until(lambda: world.entered == 1)
+    for k in range(5):
+        given(3, -2, 1)
+        until(lambda: reporter.queued == (0, 0, 0))  # the thread may still have its turn
+        assert len(world.reports) == k + 1
+    assert senders[-1] is threading.current_thread()
+    world.broken = OutputError("broken")
+    given(1, 1, 1)
+    assert reporter.failed == "broken"
+    world.broken = None
+    until(lambda: world.entered == 2)
+    until(lambda: reporter.failed is None)
+    given(7, 0, 0)
+    until(lambda: world.sum == (22, -10, 5))
+    assert even(reporter, given)
+    assert reporter.status().unsent == (1, 1, 1)
+
+
 def test_motion_is_carried_on_to_the_horizon_and_no_further(start):
     world = World()
     reporter, given = start(world, PointerSettings(horizon=0.1))
