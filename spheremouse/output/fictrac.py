@@ -49,7 +49,7 @@ class FicTrac:
         self._first: int | None = None  # sequence number of the first line since the ball was found
         self._last = 0.0  # s, stamp of the line before
 
-    def lines(self, report: Report) -> list[str]:
+    def lines(self, report: Report) -> list[bytes]:
         """Return the line of a frame; none if the ball is not tracked or the frame does not confirm the estimate."""
         sample = report.pointing_sample
         if sample is None:
@@ -60,7 +60,7 @@ class FicTrac:
             return [self._line(sample)]
         return []
 
-    def _line(self, sample: Sample) -> str:
+    def _line(self, sample: Sample) -> bytes:
         """Return FicTrac's columns for a sample, and continue the path."""
         if self._first is None:  # the way while the ball was lost is unknown
             self._first, self._last = sample.sequence, sample.stamp
@@ -80,8 +80,8 @@ class FicTrac:
         values += [1e3 * (sample.stamp - self._last)]
         values += [1e3 * (capture if sample.wall is None else _since_midnight(capture))]
         self._last = sample.stamp
-        numbers = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].decode()
-        return "FT, " + numbers.replace("null", "nan").replace(",", ", ")
+        numbers = orjson.dumps(values, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1]
+        return b"FT, %b\n" % numbers.replace(b"null", b"nan").replace(b",", b", ")
 
     def _integrate(self, forward: float, side: float, turn: float) -> None:
         """Add a step (rad) along a circular arc: heading and motion change evenly between two frames."""

@@ -129,6 +129,8 @@ class Server(Generic[ClientType]):
 class LineServer(Server[Client], Output):
     """Sends the lines of reports to all clients of a port."""
 
+    blocks = False
+
     def __init__(
         self, name: str, host: str, port: int, form: LineFormat, connect: Callable[[], Client] = Client
     ) -> None:
@@ -140,9 +142,9 @@ class LineServer(Server[Client], Output):
             print(f"{name}: other computers can connect, without a password or encryption", file=sys.stderr)
         super().__init__(name, listener, connect)
 
-    def encode(self, line: str) -> bytes:
+    def encode(self, line: bytes) -> bytes:
         """Return a line in the form in which every client gets it."""
-        return line.encode() + b"\n"
+        return line
 
     def send(self, report: Report) -> None:
         """Send the lines of a report to every client."""

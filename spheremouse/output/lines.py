@@ -21,31 +21,32 @@ Options = dict[str, int | float | str]
 class LineFormat:
     """A form of reports as lines."""
 
-    lines: Callable[[Report], list[str]]
-    start: str  # of the first line of a file
-    header: str = ""  # line before the others, if there is one
+    lines: Callable[[Report], list[bytes]]  # each with its end
+    start: bytes  # of the first line of a file
+    header: bytes = b""  # line before the others, if there is one
     paced: bool = False  # the counts of each report, as a mouse gets them, in place of each frame's
 
 
-def json_lines(report: Report) -> list[str]:
+def json_lines(report: Report) -> list[bytes]:
     """Return a JSON object for each ball of a frame."""
     return [to_json(sample, counts) for sample, counts in report.counted]
 
 
-def count_lines(report: Report) -> list[str]:
+def count_lines(report: Report) -> list[bytes]:
     """Return stamp (s) and counts of a report as a line."""
-    return [" ".join([repr(float(report.stamp)), *map(str, report.counts)])]
+    x, y, z = report.counts
+    return [f"{float(report.stamp)!r} {x} {y} {z}\n".encode()]
 
 
-_COUNTS = "# stamp dx dy dz"
+_COUNTS = b"# stamp dx dy dz"
 _OPTIONS = {"format": str, "frame": str, "forward": float}
 _FICTRAC = ("frame", "forward")  # options of that format alone
 _FORMATS: dict[str, Callable[[Options], LineFormat]] = {
-    "json": lambda _: LineFormat(json_lines, '{"sequence":'),
-    "counts": lambda _: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)"),
-    "reports": lambda _: LineFormat(count_lines, _COUNTS, f"{_COUNTS} (s, counts)", paced=True),
+    "json": lambda _: LineFormat(json_lines, b'{"sequence":'),
+    "counts": lambda _: LineFormat(count_lines, _COUNTS, _COUNTS + b" (s, counts)\n"),
+    "reports": lambda _: LineFormat(count_lines, _COUNTS, _COUNTS + b" (s, counts)\n", paced=True),
     "fictrac": lambda given: LineFormat(
-        fictrac.FicTrac(str(given.get("frame", "camera")), float(given.get("forward", 0.0))).lines, "FT, "
+        fictrac.FicTrac(str(given.get("frame", "camera")), float(given.get("forward", 0.0))).lines, b"FT, "
     ),
 }
 

@@ -17,8 +17,7 @@ from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status
 
 _MAX_COUNT = 2**31 - 1  # an OSC integer is signed and has 32 bits
-_BUNDLE = struct.Struct(">8sQ")  # name and time tag, in 2**-32 s since 1900
-_IMMEDIATELY, _NTP_EPOCH = 1, 2208988800  # s from 1900 to 1970 (RFC 5905)
+_IMMEDIATELY, _NTP_EPOCH = 1, 2208988800  # time tag in 2**-32 s; s from 1900 to 1970 (RFC 5905)
 _NUMBERS = {"counts": "iii", "quaternion": "ffff", "rate": "fff", "sigma": "fff", "position": "fff"}
 
 
@@ -31,49 +30,47 @@ class Osc(DatagramOutput):
 
 
 def encode(sample: Sample, counts: Counts) -> bytes:
-    """Return the bundle of a sample: status and counts, and each other vector if the ball is tracked and it is finite.
+    """Return the bundle of a sample: status and counts, and the other vectors if the ball is tracked.
 
-    Only the numbers are packed for each sample. The builders of python-osc take ten times as long.
+    A bundle with a vector that is not finite has none of these. One call packs all; the builders of python-osc take ten
+    times as long.
     """
     estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
-    bundle = [_BUNDLE.pack(b"#bundle", tag), _status(sample.ball, str(estimate.status))]
-    vectors = [[max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]]
+    vectors: list[list[float]] = [[max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]]
     if estimate.status is Status.TRACKING:
-        variances = estimate.covariance.diagonal().tolist()[:3]
-        vectors += [
-            to_quaternion(estimate.rotation),
-            estimate.rate.tolist()[:3],
-            [sqrt(max(v, 0.0)) for v in variances],
-        ]
+        variances = estimate.covariance.diagonal()[:3].tolist()
+        sigma = [sqrt(max(v, 0.0)) for v in variances]
+        vectors += [to_quaternion(estimate.rotation), estimate.rate[:3].tolist(), sigma]
         if sample.coordinates == "cam":
             vectors.append(estimate.position.tolist())
-    for (head, numbers), values in zip(_layout(sample.ball), vectors, strict=False):
-        if isfinite(sum(values)):
-            bundle += head, numbers.pack(*values)
-    return b"".join(bundle)
+        if not isfinite(sum(map(sum, vectors))):
+            vectors = vectors[:1]
+    form, heads = _layout(sample.ball, estimate.status, len(vectors))
+    values: list[bytes | float] = [b"#bundle", tag]
+    for head, vector in zip(heads, vectors, strict=True):
+        values += (head, *vector)
+    return form.pack(*values)
 
 
 @cache
-def _status(ball: int, text: str) -> bytes:
-    """Return the message of a status."""
-    from pythonosc.parsing import osc_types
+def _layout(ball: int, status: str, vectors: int) -> tuple[struct.Struct, list[bytes]]:
+    """Return the form of a bundle, and the constant bytes before each of its vectors: size, address and types.
 
-    message = b"".join(map(osc_types.write_string, (f"/spheremouse/{ball}/status", ",s", text)))
-    return osc_types.write_int(len(message)) + message
+    Those before the first have the message of the status, too.
+    """
+    from pythonosc.parsing.osc_types import write_int, write_string
 
+    def text(*strings: str) -> bytes:
+        return b"".join(map(write_string, strings))
 
-@cache
-def _layout(ball: int) -> list[tuple[bytes, struct.Struct]]:
-    """Return size, address and types of each message of numbers, and the form of its numbers."""
-    from pythonosc.parsing import osc_types
-
-    layout = []
-    for name, types in _NUMBERS.items():
-        head = b"".join(map(osc_types.write_string, (f"/spheremouse/{ball}/{name}", f",{types}")))
-        numbers = struct.Struct(f">{types}")
-        layout.append((osc_types.write_int(len(head) + numbers.size) + head, numbers))
-    return layout
+    form, heads, message = ">8sQ", list[bytes](), text(f"/spheremouse/{ball}/status", ",s", status)
+    before = write_int(len(message)) + message
+    for name, types in list(_NUMBERS.items())[:vectors]:
+        head = text(f"/spheremouse/{ball}/{name}", f",{types}")
+        heads.append(before + write_int(len(head) + 4 * len(types)) + head)
+        form, before = f"{form}{len(heads[-1])}s{types}", b""
+    return struct.Struct(form), heads
 
 
 def open(argument: str) -> Osc:

@@ -6,9 +6,7 @@ docs/sample.schema.json describe the JSON object.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import chain
-from math import copysign, isfinite, sqrt
+from math import copysign, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -123,59 +121,50 @@ class Sample:
         """Figures of the frame by name, for example `discs_used`."""
         return dict(self.estimate.statistics)
 
-    @cached_property
-    def json(self) -> str:
-        """The object of `to_object` without counts, in one line. All outputs of a run share it."""
-        return orjson.dumps(_to_object(self), option=orjson.OPT_SERIALIZE_NUMPY).decode()
-
 
 def to_object(sample: Sample, counts: tuple[int, int, int]) -> dict[str, Any]:
-    """Return the sample and its counts (x, y, third axis) as a JSON object with the keys of docs/samples.md.
+    """Return the object of `to_json`."""
+    return orjson.loads(to_json(sample, counts))
 
-    Unknown values are None. Attitude, motion and their covariances are None unless the ball is tracked. Only a
-    hand-held ball has `position`, `velocity`, `shift`, `position_covariance` and `yaw_pitch_roll` (rad).
+
+def to_json(sample: Sample, counts: tuple[int, int, int]) -> bytes:
+    """Return the sample and its counts (x, y, third axis) as a line: a JSON object with the keys of docs/samples.md.
+
+    Every number reads back exactly. Unknown values and numbers that are not finite are null. Attitude, motion and their
+    covariances are null unless the ball is tracked. Only a hand-held ball has `position`, `velocity`, `shift`,
+    `position_covariance` and `yaw_pitch_roll` (rad).
     """
-    return _to_object(sample) | {"counts": list(counts)}
-
-
-def to_json(sample: Sample, counts: tuple[int, int, int]) -> str:
-    """Return the JSON object of `to_object` in one line; every number reads back exactly."""
-    x, y, z = counts
-    return f'{sample.json[:-1]},"counts":[{x},{y},{z}]}}'
-
-
-def _to_object(sample: Sample) -> dict[str, Any]:
     e = sample.estimate
-    tracked = e.status is Status.TRACKING
-    rate, increment = e.rate.tolist(), e.increment.tolist()
+    known = e.status is Status.TRACKING
     made: dict[str, Any] = {
         "sequence": e.sequence,
-        "stamp": float(e.stamp),
+        "stamp": e.stamp,
         "wall": sample.wall,
         "latency": sample.latency,
         "ball": sample.ball,
         "name": sample.name,
         "coordinates": sample.coordinates,
-        "status": str(e.status),
-        "confirmed": bool(e.confirmed),
-        "events": list(sample.events),
-        "quaternion": _vector(to_quaternion(e.rotation), tracked),
-        "rate": _vector(rate[:3], tracked),
-        "increment": _vector(increment[:3], tracked),
-        "attitude_covariance": _matrix(e.covariance, 0, tracked),
-        "rate_covariance": _matrix(e.covariance, 6, tracked),
-        "increment_covariance": _matrix(e.increment_covariance, 0, tracked),
+        "status": e.status,
+        "confirmed": e.confirmed,
+        "events": sample.events,
+        "quaternion": to_quaternion(e.rotation) if known else None,
+        "rate": e.rate[:3].tolist() if known else None,
+        "increment": e.increment[:3].tolist() if known else None,
+        "attitude_covariance": e.covariance[:3, :3].tolist() if known else None,
+        "rate_covariance": e.covariance[6:9, 6:9].tolist() if known else None,
+        "increment_covariance": e.increment_covariance[:3, :3].tolist() if known else None,
+        "statistics": e.statistics,
+        "counts": counts,
     }
     if sample.coordinates == "cam":
         made |= {
-            "position": _vector(e.position.tolist(), tracked),
-            "velocity": _vector(rate[3:], tracked),
-            "shift": _vector(increment[3:], tracked),
-            "position_covariance": _matrix(e.covariance, 3, tracked),
-            "yaw_pitch_roll": _yaw_pitch_roll(e) if tracked else None,
+            "position": e.position.tolist() if known else None,
+            "velocity": e.rate[3:].tolist() if known else None,
+            "shift": e.increment[3:].tolist() if known else None,
+            "position_covariance": e.covariance[3:6, 3:6].tolist() if known else None,
+            "yaw_pitch_roll": _yaw_pitch_roll(e) if known else None,
         }
-    made["statistics"] = {name: v if isfinite(v) else None for name, v in e.statistics.items()}
-    return made
+    return orjson.dumps(made, dict, orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_APPEND_NEWLINE)
 
 
 def from_object(read: Mapping[str, Any]) -> Sample:
@@ -221,22 +210,10 @@ def _array(read: Mapping[str, Any], key: str, *shape: int) -> Array:
     return values
 
 
-def _vector(values: list[float], known: bool) -> list[float] | None:
-    return values if known and isfinite(sum(values)) else None
-
-
-def _matrix(covariance: Array, start: int, known: bool) -> list[list[float]] | None:
-    """Return the block of (3, 3) that begins at an index of the diagonal."""
-    if not known:
-        return None
-    block = covariance[start : start + 3, start : start + 3].tolist()
-    return block if isfinite(sum(chain(*block))) else None
-
-
-def _yaw_pitch_roll(estimate: Estimate) -> list[float] | None:
+def _yaw_pitch_roll(estimate: Estimate) -> list[float]:
     from spheremouse.wand.axes import estimated_axes
 
-    return _vector(estimated_axes(estimate).angles.tolist(), known=True)
+    return estimated_axes(estimate).angles.tolist()
 
 
 def to_quaternion(R: Array) -> list[float]:

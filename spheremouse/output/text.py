@@ -8,9 +8,8 @@ a mouse would get, also those between two frames.
 import contextlib
 import os
 import sys
-from io import TextIOWrapper
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO
 
 from spheremouse.files.safe_files import open_to_append
 from spheremouse.finding import Finding, ok
@@ -30,7 +29,7 @@ class Text(Output):
 
     hang_hint = "its reader does not read"
 
-    def __init__(self, file: TextIO, name: str, form: LineFormat) -> None:
+    def __init__(self, file: BinaryIO, name: str, form: LineFormat) -> None:
         self._file, self._name, self._form, self._reader_gone = file, name, form, False
         self.paced = form.paced
         if form.header:
@@ -42,12 +41,12 @@ class Text(Output):
         for line in self._form.lines(report):
             self._write(line)
 
-    def _write(self, text: str) -> None:
+    def _write(self, line: bytes) -> None:
         """Write a line. Raise OutputClosed if the reader is gone; discard unwritten text after an error."""
         if self._reader_gone:
             raise OutputClosed(self._name)
         try:
-            self._file.write(text + "\n")
+            self._file.write(line)
             self._file.flush()
         except BrokenPipeError:
             self._reader_gone = True
@@ -66,7 +65,7 @@ class Text(Output):
 
     def close(self) -> None:
         """Close the file."""
-        if self._file is not sys.stdout:
+        if self._file is not sys.stdout.buffer:
             self._file.close()
 
 
@@ -74,13 +73,13 @@ def open(argument: str) -> Text:
     """Open standard output (`-` or nothing) or a file to append to."""
     name, form = parse_address("text", argument)
     if name in ("", "-"):
-        return Text(sys.stdout, "standard output", form)
+        return Text(sys.stdout.buffer, "standard output", form)
     path = Path(name)
     try:
-        refuse_other_files(path, form.start.encode())
+        refuse_other_files(path, form.start)
         file = open_to_append(path)
         drop_unfinished_line(path, file.fileno())
-        return Text(TextIOWrapper(file, encoding="utf-8"), str(path), form)
+        return Text(file, str(path), form)
     except (OSError, ValueError) as e:
         raise cannot_be_written(path, e) from None
 
@@ -89,7 +88,7 @@ def check(argument: str) -> None:
     """Raise OutputError if the argument is invalid, or if the file exists and is not such a log."""
     name, form = parse_address("text", argument)
     if name not in ("", "-"):
-        check_file(Path(name), form.start.encode())
+        check_file(Path(name), form.start)
 
 
 def file_of(argument: str) -> Path | None:

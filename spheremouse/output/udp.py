@@ -20,7 +20,7 @@ class Udp(DatagramOutput):
 
     def datagrams(self, report: Report) -> list[bytes]:
         """Return the lines."""
-        return [line.encode() + b"\n" for line in self._form.lines(report)]
+        return self._form.lines(report)
 
 
 def open(argument: str) -> Udp:

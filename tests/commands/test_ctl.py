@@ -254,7 +254,7 @@ def test_watching_as_json_prints_samples_and_in_the_end_the_number_of_dropped_on
         lines, err, code = watching(path, "--json", more=3000)
         ended.set()
         publisher.join()
-    assert [line.rstrip() for line in lines] == json_lines(report)[:3]
+    assert [line.encode() for line in lines] == json_lines(report)[:3]
     assert re.fullmatch(r"spheremouse: \d+ samples dropped, because their reader was too slow\n", err)
     assert code == 0
 

@@ -45,7 +45,7 @@ COLUMNS = {
 
 def parse(line):
     """Return a line's values by name. FicTrac's socket client splits at ", " and expects the word FT first."""
-    word, *fields = line.split(", ")
+    word, *fields = line.decode().split(", ")
     assert word == "FT"
     assert len(fields) == 25
     assert all(fields[column - 1].isdigit() for column in (1, 23))  # its client reads them with int()

@@ -48,7 +48,7 @@ def test_a_log_of_counts_is_a_header_and_a_line_per_report(tmp_path):
 @given(finite, st.tuples(*[st.integers(-(2**63), 2**63)] * 3))
 def test_stamp_and_counts_read_back_exactly(stamp, counts):
     (line,) = count_lines(report(*counts, stamp=stamp))
-    read, *whole = line.split(" ")
+    read, *whole = line.split()
     assert float(read) == stamp
     assert tuple(map(int, whole)) == counts
 

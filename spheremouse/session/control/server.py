@@ -295,7 +295,7 @@ class _Client:
         self.subscribed = False  # to samples
         self.has_events = asyncio.Event()  # events or samples wait
         self._events: deque[dict[str, Any]] = deque(maxlen=limits.events)
-        self._samples: deque[str] = deque(maxlen=limits.samples)  # JSON objects
+        self._samples: deque[bytes] = deque(maxlen=limits.samples)  # JSON objects
         self._dropped = 0  # samples
         self._ring: PictureRing | None = None  # whose memory the client has
         writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
@@ -375,7 +375,7 @@ class _Client:
         self._events.append(event)
         self.has_events.set()
 
-    def push_samples(self, samples: list[str]) -> None:
+    def push_samples(self, samples: list[bytes]) -> None:
         """Send samples, as JSON objects, or add them if the client has not read all before.
 
         If too many wait, the oldest are dropped and counted.
@@ -386,8 +386,8 @@ class _Client:
         self._samples.extend(samples)
         self.has_events.set()
 
-    def _sample_line(self, sample: str) -> bytes:
-        return f'{{"event":"sample","dropped":{self._dropped},"sample":{sample}}}\n'.encode()
+    def _sample_line(self, sample: bytes) -> bytes:
+        return b'{"event":"sample","dropped":%d,"sample":%b}\n' % (self._dropped, sample.rstrip(b"\n"))
 
     def drop(self) -> None:
         """Disconnect at once."""
