@@ -28,10 +28,10 @@ from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import Output, open_output
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.run_config import CommandLineOverrides, read_run_config
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
-from spheremouse.simulate.ball.profile import Gesture, Gestures
+from spheremouse.simulate.ball.profile import Gesture, Gestures, SeenFrom
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.tracker import Frame
@@ -67,7 +67,11 @@ class Film:
         return cls.of(default_scene())
 
     @classmethod
-    def of(cls, scene: Scene, length: int = 48) -> "Film":
+    def of(cls, scene: Scene, length: int = 48, aside: Array | None = None, rendered: int | None = None) -> "Film":
+        """`aside`: R_first_obj of a camera that stands there, and not in front. The attitudes are in its axes.
+
+        `rendered`: pictures from the first on; None: all.
+        """
         seconds = length * DT
         s = seconds / 5.0
         gestures = (
@@ -75,9 +79,10 @@ class Film:
             Gesture(1.5 * s, 2.2 * s, (0.0, 1.0, 0.0), -1.3 * s),
             Gesture(2.8 * s, 2.2 * s, (0.9746794344808964, 0.0, -0.22360679774997896), 1.8 * s),
         )
-        profile, rng = Gestures(gestures, seconds), np.random.default_rng(0)
+        rng, profile = np.random.default_rng(0), Gestures(gestures, seconds)
+        profile = profile if aside is None else SeenFrom(profile, aside.T)
         renderer = Renderer(scene)
-        made = [renderer.frame(profile, seconds * k / (length - 1), k, rng) for k in range(length)]
+        made = [renderer.frame(profile, seconds * k / (length - 1), k, rng) for k in range(rendered or length)]
         colour = [m.frame.image for m in made]
         grey = [np.asarray(cv2.cvtColor(c, cv2.COLOR_BGR2GRAY), dtype=np.uint8) for c in colour]
         return cls(colour, grey, np.array([m.attitude for m in made]), scene.rig())
@@ -118,6 +123,7 @@ class World:
 
     setup = Setup()
     colour_alone = False  # the camera gives no grey pictures
+    second: "World | None" = None  # with the second camera
     saved: Path | None = None  # the file of saved settings of a service
 
     def __init__(self, film: Film, folder: Path, pace: float = 0.002) -> None:
@@ -163,6 +169,10 @@ class World:
         self.client = Client(self.socket)
 
     # ---- the camera ----
+
+    def opener(self, plan: RunConfig) -> Callable[[], "World"]:
+        """Of the camera of a plan with one."""
+        return self.second.open_camera if self.second is not None and plan.source.endswith("side") else self.open_camera
 
     def open_camera(self) -> "World":
         if self.missing:
@@ -257,7 +267,7 @@ class World:
             overrides,
             read_run_config(overrides),
             self.setup,
-            lambda plan: self.open_camera,  # pyright: ignore[reportArgumentType]
+            self.opener,  # pyright: ignore[reportArgumentType]
             log=self.said.append,
             show=show if watch is None else watch,
             frames=frames,
@@ -341,7 +351,7 @@ class World:
         assert report.reports == sum(any(m.counts) for m in self.sent)
         status = self.daemon.status()
         taken = self.daemon._worker.seen
-        assert taken + (status.skipped or 0) == self.produced
+        assert taken + (status.skipped or 0) == self.produced + (self.second.produced if self.second else 0)
         assert status.frames == len(self.frames)  # also across another rig, which has another worker
 
 

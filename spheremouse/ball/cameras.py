@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
-from spheremouse.ball.build import begin
+from spheremouse.ball.build import begin, detector_of
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CAMERA_DIM
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array
@@ -32,6 +34,14 @@ def begin_all(
     return state
 
 
+def begin_with(tracker: Tracker[Any], number: int, stamp: float, known: BallMap | None = None) -> TrackState[Any]:
+    """Return the state before the first frame of the camera with a `number`, which is the first that shows the ball."""
+    state = begin(tracker, stamp, known=known)
+    if number == 0:
+        return state
+    return state._replace(camera=number, lookalikes=StaticDistractors(next_number=number * _NUMBERS))
+
+
 def with_camera(
     state: TrackState[So3State], tracker: Tracker[So3Filter], present: Sequence[Tracker[So3Filter]], number: int
 ) -> TrackState[So3State]:
@@ -42,17 +52,15 @@ def with_camera(
     default filter.
     """
     trackers = (*present, tracker)
-    check_kinds(trackers)
-    other = CameraState.of(begin(tracker, state.filter.stamp))._replace(
-        camera=number, lookalikes=StaticDistractors(next_number=number * _NUMBERS)
-    )
+    check_cameras([each.rig for each in trackers], tracker.settings)
+    other = CameraState.of(begin_with(tracker, number, state.filter.stamp))
     prior = np.block([[_shared(one, another) for another in trackers] for one in trackers])
     return _filters(state._replace(others=(*state.others, other)), lambda f: f.with_camera(prior))
 
 
-def check_kinds(trackers: Sequence[Tracker[Any]]) -> None:
-    """Raise ConfigurationError if one of several trackers cannot share a ball with the others."""
-    if len(trackers) > 1 and not all(each.method.keeps_map and each.detector.is_exact for each in trackers):
+def check_cameras(rigs: Sequence[Rig], settings: Settings) -> None:
+    """Raise ConfigurationError if the tracker takes one camera and there are several."""
+    if len(rigs) > 1 and not (settings.tracker == "so3" and all(detector_of(rig, settings).is_exact for rig in rigs)):
         raise ConfigurationError(
             "two cameras: only the tracker so3 with the default detector takes more than one camera",
             "give one camera, or leave tracker and detector at their defaults",
@@ -73,12 +81,15 @@ def cameras_of(state: TrackState[Any]) -> tuple[int, ...]:
     return state.camera, *(other.camera for other in state.others)
 
 
+def part_of(state: TrackState[Any], camera: int) -> TrackState[Any] | CameraState | None:
+    """Return the state whose fields of `CameraState` are those of a camera; None if the state does not have it."""
+    return next((part for part in (state, *state.others) if part.camera == camera), None)
+
+
 def current_of(state: TrackState[Any], camera: int, tracker: Tracker[Any]) -> Tracker[Any]:
     """Return the tracker in use for a camera: `tracker`, or the one that was rebuilt for a new pose."""
-    for part in (state, *state.others):
-        if part.camera == camera and part.rebuilt is not None:
-            return part.rebuilt
-    return tracker
+    part = part_of(state, camera)
+    return tracker if part is None or part.rebuilt is None else part.rebuilt
 
 
 def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:

@@ -112,3 +112,6 @@ class CameraMoved(Event):
 @dataclass(frozen=True, slots=True)
 class TargetsHidden(Event):
     """The ball is lost while the targets are out of sight, so the camera may have moved."""
+
+
+OF_CAMERA = (ReadoutKnown, DiscColours, CameraMoved, TargetsHidden)  # which concern one camera, of several

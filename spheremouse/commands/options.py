@@ -5,12 +5,12 @@ or a list is its form, WxH or X,Y,Z. A length in m may be typed with its unit.
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import wraps
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
@@ -21,6 +21,7 @@ _MAX_SIDE_PX = 8192  # px, a side
 _LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more
 
 Command = Callable[..., None]
+T = TypeVar("T")
 
 # ---- options that several commands have ----
 
@@ -48,6 +49,11 @@ Socket = Annotated[
     Path | None,
     typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
 ]
+
+
+def one_or_all(values: Sequence[T] | None) -> T | Sequence[T] | None:
+    """Return the value of a setting that is one or a list: the only one of several, else all."""
+    return values[0] if values is not None and len(values) == 1 else values
 
 
 def settings_given(assignments: list[str] | None, config: Path | None, options: Mapping[str, Any]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile, settings_given
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, one_or_all, settings_given
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -23,9 +23,12 @@ def of_recording(
     from spheremouse.session.run_config import CommandLineOverrides
 
     own = ("rig=null", "camera_file=null", "map=null", *(("tracker=wand",) if is_wand(recording) else ()))
-    source = f"{'video' if recording.is_file() else 'dataset'}:{recording}"
-    given = settings_given(assignments, config, {"source": source, "output": "null", **options})
+    given = settings_given(assignments, config, {"source": _source(recording), "output": "null", **options})
     return CommandLineOverrides(config, (*own, *given), no_map=options.get("map") is None)
+
+
+def _source(recording: Path) -> str:
+    return f"{'video' if recording.is_file() else 'dataset'}:{recording}"
 
 
 def track(
@@ -42,7 +45,13 @@ def track(
     map_file: Annotated[
         Path | None, typer.Option("--map", metavar="FILE", help="Map of the ball, kept from run to run.")
     ] = None,
-    rig: RigFile = None,
+    rig: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="The device as calibrated, in place of the recording's; with --beside two."),
+    ] = None,
+    beside: Annotated[
+        Path | None, typer.Option(metavar="RECORDING", help="Recording of a second camera, by the same clock.")
+    ] = None,
     camera: CameraFile = None,
     config: ConfigFile = None,
     assignments: Assignments = None,
@@ -57,7 +66,10 @@ def track(
     from spheremouse.commands.run import run_plan
     from spheremouse.session.run_config import check_kinds, read_run_config
 
-    options = {"output": output, "map": map_file, "rig": rig, "camera_file": camera, "wand.balls": balls}
+    options: dict[str, Any] = {"output": output, "map": map_file, "rig": one_or_all(rig)}
+    options |= {"camera_file": camera, "wand.balls": balls}
+    if beside is not None:
+        options["source"] = [_source(recording), _source(beside)]
     overrides = of_recording(recording, config, assignments, options)
     plan = read_run_config(overrides)
     check_kinds(plan)

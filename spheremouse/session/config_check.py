@@ -46,8 +46,11 @@ def validate(file: Path, c: Configuration) -> Found:
     """Check all files and devices that the configuration `c` of a file names."""
     found = Found()
     _files(file, c, found)
-    if c.source is not None:
-        _probe(("source",), capture.probe, c.source, found)
+    for source in c.sources:
+        _probe(("source",), capture.probe, source, found)
+    if c.rigs and c.sources and len(c.rigs) != len(c.sources):
+        problem = f"{len(c.rigs)} and not {len(c.sources)}, the number of sources; give one rig file for each source"
+        found.wrong.append(Problem(("rig",), problem))
     for name, assignments in c.profiles.items():
         at_start = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
         found.wrong += [
@@ -63,12 +66,13 @@ def validate(file: Path, c: Configuration) -> Found:
 
 def _files(file: Path, c: Configuration, found: Found) -> None:
     """Check rig, camera, map, balls and recordings."""
-    rig = _read(("rig",), beside(file, c.rig), load_rig, found)
-    camera = _read(("camera_file",), beside(file, c.camera_file), load_camera, found) or (rig and rig.camera)
-    size = c.camera.size
-    if camera is not None and size is not None and size != (camera.width, camera.height):
-        problem = f"{size[0]}x{size[1]}: the camera was calibrated at {camera.width}x{camera.height}; set that size"
-        found.wrong.append(Problem(("camera", "size"), problem))
+    rigs = [_read(("rig",), beside(file, name), load_rig, found) for name in c.rigs]
+    rig = rigs[0] if rigs else None
+    camera, size = _read(("camera_file",), beside(file, c.camera_file), load_camera, found), c.camera.size
+    for known in [each.camera for each in rigs if each is not None] if camera is None else [camera]:
+        if size is not None and size != (known.width, known.height):
+            problem = f"{size[0]}x{size[1]}: the camera was calibrated at {known.width}x{known.height}; set that size"
+            found.wrong.append(Problem(("camera", "size"), problem))
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
         saved = _read(("map",), path, load_map, found)
         if saved is not None and rig is not None:

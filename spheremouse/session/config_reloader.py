@@ -44,7 +44,8 @@ Values = dict[str, tuple[Any, Any]]  # by key: old value and new value
 def stamps_of(overrides: CommandLineOverrides, plan: RunConfig) -> dict[Path, int]:
     """Return the modification times of the files of a plan."""
     found: dict[Path, int] = {}
-    for path in (overrides.file, overrides.saved, plan.rig_path, plan.camera_path, *plan.ball_paths):
+    rigs = (each.rig_path for each in plan.cameras)
+    for path in (overrides.file, overrides.saved, *rigs, plan.camera_path, *plan.ball_paths):
         if path is not None:
             try:
                 found[path] = path.stat().st_mtime_ns
@@ -114,6 +115,7 @@ def differences(before: RunConfig, now: RunConfig) -> list[str]:
     content, the map by its path.
     """
     a, b = before.configuration, now.configuration
+    cameras = list(zip(before.cameras, now.cameras, strict=True))
     if b.tracker == "wand":
         tracker_changed = any(
             getattr(a.wand, f) != getattr(b.wand, f) for f in (*WandSettings.__dataclass_fields__, "points")
@@ -124,10 +126,9 @@ def differences(before: RunConfig, now: RunConfig) -> list[str]:
         motion_changed = a.motion != b.motion
     changed = {
         "tracker": tracker_changed,
-        "source": before.source != now.source or a.camera != b.camera,
+        "source": any(old.source != new.source for old, new in cameras) or a.camera != b.camera,
         "output": before.outputs != now.outputs,
-        "rig": before.rig_path != now.rig_path
-        or not _same(before.rig, now.rig)
+        "rig": any(old.rig_path != new.rig_path or not _same(old.rig, new.rig) for old, new in cameras)
         or not _same(before.camera, now.camera),
         "map": before.map_path != now.map_path,
         "balls": before.ball_paths != now.ball_paths or not _same(before.balls, now.balls),

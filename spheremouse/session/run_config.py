@@ -4,9 +4,10 @@ It is read as a whole or not at all, so a reload never leaves the daemon between
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from spheremouse import capture as sources
 from spheremouse import output as outputs
@@ -21,6 +22,7 @@ from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.cameras import is_camera
 from spheremouse.session.settings import Configuration
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.settings import ColourSettings
@@ -81,6 +83,14 @@ class CommandLineOverrides:
     saved: Path | None = None  # file of the settings that the service saved; they override the configuration
 
 
+class SecondCamera(NamedTuple):
+    """A second camera of the same ball; its rig is in the axes of the first."""
+
+    source: str
+    rig: Rig | None  # None: the source brings its own
+    rig_path: Path | None
+
+
 @dataclass(frozen=True, slots=True)
 class RunConfig:
     """The checked configuration and its files."""
@@ -98,6 +108,19 @@ class RunConfig:
     unchanged: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
     saved: tuple[str, ...] = ()  # KEY=VALUE, by the service
     notice: str = ""  # what was saved, or why it is ignored
+    second: "SecondCamera | None" = None
+
+    @property
+    def cameras(self) -> tuple["RunConfig", ...]:
+        """The plan of each camera alone."""
+        if self.second is None:
+            return (self,)
+        source, rig, rig_path = self.second
+        return replace(self, second=None), replace(self, source=source, rig=rig, rig_path=rig_path, second=None)
+
+    def devices(self, given: Sequence[Rig | None]) -> tuple[Rig, ...]:
+        """Return the calibrated device of each camera, as `device`."""
+        return tuple(plan.device(rig) for plan, rig in zip(self.cameras, given, strict=True))
 
     def device(self, given: Rig | None) -> Rig:
         """Return the calibrated device; `given` is that of the source. Raises ConfigurationError if there is none."""
@@ -140,7 +163,7 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     for change in overrides.changes:
         c = config.override(c, change, label="")
     c = _with_folder(c, overrides.file)
-    if c.source is None:
+    if not c.sources:
         raise ConfigurationError(
             "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
         )
@@ -154,18 +177,38 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         raise ConfigurationError(f"output: {repeated} is given twice; leave one out")
     if c.map is not None and c.tracker != "so3" and not overrides.no_map:
         raise ConfigurationError(f"map: tracker {c.tracker} keeps no map; use so3, or leave the map out")
-    rig_path, camera_path, map_file = (beside(overrides.file, name) for name in (c.rig, c.camera_file, c.map))
-    rig = None if rig_path is None else load_rig(rig_path)
+    _check_pairs(c)
+    camera_path, map_file = (beside(overrides.file, name) for name in (c.camera_file, c.map))
+    rig_paths = [beside(overrides.file, name) for name in c.rigs] or [None] * len(c.sources)
+    rigs = [None if path is None else load_rig(path) for path in rig_paths]
+    rig_path, rig = rig_paths[0], rigs[0]
     camera = None if camera_path is None else load_camera(camera_path)
     if overrides.no_map or c.tracker != "so3":
         map_file = None
     elif map_file is None and rig_path is not None and rig is not None:
         map_file = _usual_map(rig_path, map_kind(rig, c))
     ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
-    balls, source = read_balls(ball_paths), sources.full_spec(c.source)
+    balls, (source, *more) = read_balls(ball_paths), map(sources.full_spec, c.sources)
+    if source in more:
+        raise ConfigurationError(f"source: {source} is given twice; name another camera, or leave one out")
+    second = SecondCamera(more[0], rigs[1], rig_paths[1]) if more else None
     return RunConfig(
-        c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved
+        *(c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved),
+        second=second,
     )
+
+
+def _check_pairs(c: Configuration) -> None:
+    """Raise ConfigurationError if sources and rigs do not belong to each other."""
+    if c.rigs and len(c.rigs) != len(c.sources):
+        raise ConfigurationError(
+            f"rig: {len(c.rigs)} and not {len(c.sources)}, the number of sources; give one rig file for each source, "
+            "in the same order"
+        )
+    if len(c.sources) > 1 and c.camera_file is not None:
+        raise ConfigurationError("camera_file: belongs to one camera; of two, write each camera into its rig file")
+    if len(c.sources) > 1 and c.tracker != "so3":
+        raise ConfigurationError(f"source: tracker {c.tracker} takes one camera; use so3, or give one source")
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
@@ -178,8 +221,14 @@ def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
         raise ConfigurationError(
             "tracker: a ball in its frame and one in a hand are runs of their own: stop this run and start again"
         )
-    if before is None or plan.source != before.source:
-        check(sources, "source", plan.source, SourceError)
+    if before is not None and len(plan.cameras) != len(before.cameras):
+        raise ConfigurationError("source: one camera more or less is another run: stop this run and start again")
+    known = () if before is None else [each.source for each in before.cameras]
+    for each in plan.cameras:
+        if each.source not in known:
+            check(sources, "source", each.source, SourceError)
+    if len({is_camera(each.source) for each in plan.cameras}) > 1:
+        raise ConfigurationError("source: a camera and a recording have no common clock; give two of one kind")
     for spec in plan.outputs:
         if before is None or spec not in before.outputs:
             check(outputs, "output", spec, OutputError)

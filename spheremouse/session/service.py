@@ -15,7 +15,7 @@ from pathlib import Path
 
 from spheremouse import __version__
 from spheremouse.capture import OpenCamera
-from spheremouse.capture.fetch import MAX_FRAME_GAP_S, Capture
+from spheremouse.capture.fetch import MAX_FRAME_GAP_S
 from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.capture.replay import Controls
 from spheremouse.capture.replay import Replay as PlayedRecording
@@ -26,6 +26,7 @@ from spheremouse.output.pointer import minus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.reporter_status import ReporterStatus
 from spheremouse.output.third_axis import left_out
+from spheremouse.session.captures import Captures
 from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
 from spheremouse.session.control.protocol import (
     Pictures,
@@ -40,12 +41,20 @@ from spheremouse.session.control.protocol import (
 )
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
 from spheremouse.session.control.server import Endpoints
-from spheremouse.session.control.status import OutputStatus, Quantiles, ReplayStatus, SourceStatus, State, StatusReport
+from spheremouse.session.control.status import (
+    CameraStatus,
+    OutputStatus,
+    Quantiles,
+    ReplayStatus,
+    SourceStatus,
+    State,
+    StatusReport,
+)
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
-from spheremouse.session.process.threads import WorkerPool, begin
+from spheremouse.session.process.threads import WorkerPool
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig
@@ -79,7 +88,7 @@ class Daemon:
         show: Show = lambda _, __, ___: None,
         frames: int | None = None,
     ) -> None:
-        """`camera` returns the function that opens the camera of a plan.
+        """`camera` returns the function that opens the camera of a plan with one camera.
 
         `log` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
         many of them.
@@ -105,21 +114,21 @@ class Daemon:
         self._archive = Archive(self._workers, self._log)
         self._pictures = PictureFeed(self._log)
         patience = MAX_FRAME_GAP_S if setup.replay is None else math.inf  # its user may pause it
-        self._capture = Capture(camera(plan), self._ring, self._log, patience)
+        self._captures = Captures(map(camera, plan.cameras), self._ring, self._log, patience)
         self._arrivals = Arrivals(patience)
         adapter = setup.adapter(plan, self._log, self._workers.do)
-        self._worker, self._sleep = Worker(adapter, self._log), SleepMonitor()
+        self._worker, self._sleep = Worker(adapter, self._log, len(plan.cameras)), SleepMonitor()
         self._outputs = Outputs(
             plan.outputs,
             plan.configuration.pointer,
             log=self._log,
             workers=self._workers,
             call=call,
-            describe_run=lambda: describe_run(self._reloader.plan, self._capture.description),
+            describe_run=lambda: describe_run(self._reloader.plan, self._captures.first.description),
             claim=lambda: self._claim(0),
         )
         self._monitor = StateMonitor(
-            self._worker, self._capture, self._arrivals, self._outputs, log=self._log, notify=self._notifier.status
+            self._worker, self._captures, self._arrivals, self._outputs, log=self._log, notify=self._notifier.status
         )
 
     def run(self, stopping: SignalHandler) -> None:
@@ -164,7 +173,7 @@ class Daemon:
         """Frames that were not tracked, by reason."""
         return {
             "skipped": self._ring.skipped,
-            "dropped": self._capture.dropped,
+            "dropped": self._captures.dropped,
             "damaged": self._worker.damaged,
             "before anything could be tracked": self.adapter.untracked,
         }
@@ -182,7 +191,7 @@ class Daemon:
         now = time.monotonic()
         while not (stopping.asked or self._ending):
             arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _MAX_FRAME_WAIT_S)
-            now, finished = time.monotonic(), self._capture.finished
+            now, finished = time.monotonic(), self._captures.finished
             if arrival is not None:
                 self._work(arrival, now)
             self._update_state(now)
@@ -190,8 +199,8 @@ class Daemon:
             if arrival is not None or finished or frame_overdue or self._arrivals.time_left(now) > _REQUEST_TIME:
                 self._requests.run(self._handle)
             if arrival is None and finished:
-                if self._capture.failure is not None:
-                    raise self._capture.failure
+                if self._captures.failure is not None:
+                    raise self._captures.failure
                 self._finished = True
                 break
             self._do_periodic_work(now)
@@ -214,9 +223,10 @@ class Daemon:
                 if self._monitor.state is not State.TRACKING:
                     self._update_state(now)  # log the state before anything moves
                 self._publish(made, arrival.taken)
-            elif self._worker.untracked is not None:
+            elif self._worker.untracked is not None and arrival.camera == self._captures.main:
                 self._archive.look(self._worker.untracked, self.adapter)
-            self._pictures.show(now, arrival.raw, self.adapter, made)
+            if arrival.camera == self._captures.main:
+                self._pictures.show(now, arrival.raw, self.adapter, made)
         finally:
             if replay is not None and waiting and not self.adapter.waiting:
                 replay.control(replay.controls, rewind=True)  # to the frames before the pose was known
@@ -237,7 +247,8 @@ class Daemon:
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         self._outputs.submit(report, taken, wanted=wanted)
         # Archive and view get the image, too, whose buffer is released after this.
-        self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
+        if made.frame.camera == self._captures.main:
+            self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
         self._endpoints.submit(report)
         if self._limit is not None and self._worker.frames >= self._limit:
@@ -254,20 +265,22 @@ class Daemon:
 
     def _do_periodic_work(self, now: float) -> None:
         """Do periodic work: watchdog, files, garbage collection."""
-        capture, worker = self._capture, self._worker
+        captures, worker = self._captures, self._worker
         silent = self._arrivals.silent(now)
-        self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
+        self._notifier.progress(("attempts", captures.attempts) if silent else ("frames", worker.seen))
         self._log.flush()
         self._quiet.rest(now)
+        if len(captures.each) > 1:
+            captures.log_changes(now, map(self._trouble_of, range(len(captures.each))))
         if now - self._checked_at < _CHECK_INTERVAL_S:
             return
         self._checked_at = now
         self._pictures.expire(now)
         self._cpu.look(now)
         worker.look()
-        if worker.trouble and not capture.trouble and now - max(worker.good, self._reopened_at) > _MAX_UNUSABLE_S:
+        if worker.trouble and not captures.trouble and now - max(worker.good, self._reopened_at) > _MAX_UNUSABLE_S:
             self._reopened_at = now
-            capture.again()
+            captures.again()
         if self._reloader.outdated:
             self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._reloader.reload)
         self._archive.give_up()
@@ -288,8 +301,7 @@ class Daemon:
         self._monitor.starting = ""
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
-        begin(self._capture)
-        self._claim(self._capture.native_id)
+        self._captures.start(self._claim)
         self._arrivals.begin()
 
     def _log_left_out(self, plan: RunConfig) -> None:
@@ -315,7 +327,7 @@ class Daemon:
             closing.callback(self._archive.close)
             closing.callback(self._pictures.close)
             closing.callback(self._outputs.close)
-            closing.callback(self._capture.close)
+            closing.callback(self._captures.close)
 
     def _log_now(self, text: str) -> None:
         self._print(text)
@@ -385,7 +397,7 @@ class Daemon:
             raise ControlError(f"nothing to record before the camera's pose is known: {self._monitor.reason}")
         else:
             settings = self._reloader.plan.configuration
-            self._archive.record(request, settings, subject, self._capture.description, pending)
+            self._archive.record(request, settings, subject, self._captures.first.description, pending)
 
     def _estimate_pose(self, pending: PendingRequest) -> None:
         """Estimate the camera's pose again, in a thread of the pool, until the client disconnects."""
@@ -441,7 +453,8 @@ class Daemon:
             ended = another and self._archive.configuration_changes()
             self._worker.adapter = change()
             if "source" in changed:
-                self._capture.reopen(self._camera(plan))
+                for capture, each in zip(self._captures.each, plan.cameras, strict=True):
+                    capture.reopen(self._camera(each))
             if "pointer" in changed and "output" not in changed:
                 self._outputs.change(plan.configuration.pointer)
             return ended
@@ -466,14 +479,15 @@ class Daemon:
             tracker=plan.configuration.tracker,
             frames=worker.frames,
             skipped=self._ring.skipped,
-            dropped=self._capture.dropped,
+            dropped=self._captures.dropped,
             damaged=worker.damaged,
             counts=list(self._outputs.counts),
             outputs=outputs,
-            source=_source_status(plan, self._capture.description, self._setup.replay),
+            source=_source_status(plan, self._captures.first.description, self._setup.replay),
+            cameras=self._cameras_status(),
             unseen_s=monitor.unseen,
             lost_count=worker.lost,
-            camera_restarts=self._capture.restarts,
+            camera_restarts=self._captures.restarts,
             uptime_s=now - self._began,
             version=__version__,
             pid=os.getpid(),
@@ -489,6 +503,30 @@ class Daemon:
             cpu_share=self._cpu.share,
             scheduling=self._scheduling,
             paused=bool(monitor.paused),
+        )
+
+    def _cameras_status(self) -> list[CameraStatus]:
+        """Return the status of each camera if there are two; else it is that of the run."""
+        captures, plans = self._captures, self._reloader.plan.cameras
+        if len(plans) == 1:
+            return []
+        return [
+            CameraStatus(
+                spec=plan.source,
+                description=captures.each[k].description,
+                trouble=self._trouble_of(k),
+                rig=_absolute(plan.rig_path),
+                frames=self._worker.frames_of[k],
+                restarts=captures.each[k].restarts,
+                pose=self.adapter.pose_of(k),
+            )
+            for k, plan in enumerate(plans)
+        ]
+
+    def _trouble_of(self, camera: int) -> str:
+        """Return the reason why a camera takes no part in tracking; empty if it does."""
+        return (
+            self._captures.trouble_of(camera) or self._worker.refused.get(camera, "") or self.adapter.trouble_of(camera)
         )
 
 

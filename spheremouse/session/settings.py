@@ -107,10 +107,12 @@ class Configuration(Settings):
         "-",
         "tracker: so3 for a ball in its frame, wand for a ball in a hand; ekf1 and ekf2 are the published filters",
     )
-    source: str | None = param(
+    source: str | tuple[str, ...] | None = param(
         None,
         "-",
-        "source of the frames, as --source: v4l2:/dev/v4l/by-id/..., opencv:INDEX, dataset:FOLDER or video:FILE",
+        "source of the frames, as --source: v4l2:/dev/v4l/by-id/..., opencv:INDEX, dataset:FOLDER or video:FILE; a "
+        "list for two cameras",
+        most=2,
     )
     output: str | tuple[str, ...] | None = param(
         None,
@@ -126,7 +128,23 @@ class Configuration(Settings):
         """Destinations of the motion, `KIND:ARGUMENT`; the first is the main one."""
         return (self.output,) if isinstance(self.output, str) else self.output or ()
 
-    rig: str | None = param(None, "-", "rig file of the calibrated device, relative to this file's folder")
+    rig: str | tuple[str, ...] | None = param(
+        None,
+        "-",
+        "rig file of the calibrated device, relative to this file's folder; one for each source",
+        most=2,
+    )
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Sources of the frames, one for each camera."""
+        return (self.source,) if isinstance(self.source, str) else self.source or ()
+
+    @property
+    def rigs(self) -> tuple[str, ...]:
+        """Rig files, one for each camera; none for sources that bring their own."""
+        return (self.rig,) if isinstance(self.rig, str) else self.rig or ()
+
     camera_file: str | None = param(
         None, "-", "camera file that replaces the rig's interior orientation, relative to this file's folder"
     )

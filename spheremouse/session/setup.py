@@ -36,11 +36,17 @@ class Setup:
     camera: InteriorOrientation | None = None  # of a wand's recording
     balls: tuple[WandBall, ...] = ()
     replay: Replay | None = None  # that plays the source, if people control it
+    second: Source | None = None  # of the second camera, if there is one, and it is no camera
 
     @property
     def rig(self) -> Rig | None:
         """The device that the source brings; None without a source, or if it brings none."""
         return None if self.source is None else self.source.rig
+
+    @property
+    def rigs(self) -> tuple[Rig | None, Rig | None]:
+        """The devices that the sources of the first and the second camera bring."""
+        return self.rig, None if self.second is None else self.second.rig
 
     def planned(self, plan: RunConfig) -> RunConfig:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
@@ -61,12 +67,12 @@ class Setup:
             made = WandAdapter(self.wand_tracker, plan, log)
             made.introduce()
             return made
-        rig = plan.device(self.rig)
-        keeper = None
+        given = self.rigs[: len(plan.cameras)]
+        rigs, keeper = plan.devices(given), None
         if plan.map_path is not None:
-            kind = map_kind(rig, plan.configuration)
-            keeper = MapKeeper(plan.map_path, rig, kind, log, elsewhere=partial(do, MAP))
-        return BallAdapter(rig, plan.configuration, keeper, log, do, self.rig)
+            kind = map_kind(rigs[0], plan.configuration)
+            keeper = MapKeeper(plan.map_path, rigs[0], kind, log, elsewhere=partial(do, MAP))
+        return BallAdapter(rigs, plan.configuration, keeper, log, do, given)
 
     def wand_tracker(self, plan: RunConfig) -> "WandTracker":
         """Return the tracker of the plan's balls, else of the recording's own, else of `grzonka_ball()`.
@@ -96,6 +102,8 @@ def open_replay(plan: RunConfig) -> Setup:
 
     Raises SourceError for a camera, and the errors of `open_setup`.
     """
+    if plan.second is not None:
+        raise ConfigurationError("--replay: plays one recording; give one source")
     setup = open_setup(plan)
     if setup.source is None:
         raise SourceError(f"{plan.source}: is no recording, which --replay needs")
@@ -118,7 +126,8 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
         return Setup()
     kind, _, argument = plan.source.partition(":")
     if not _is_wand(plan) or kind not in ("synthetic", "dataset"):
-        return Setup(open_source(plan.source, realtime=realtime))
+        first, *more = (open_source(each.source, realtime=realtime) for each in plan.cameras)
+        return Setup(first, second=more[0] if more else None)
     if kind == "synthetic":
         raise SourceError(
             f"{plan.source}: simulates no wand; film one with `spheremouse wand simulate DIR`, give dataset:DIR"
@@ -141,7 +150,7 @@ def opener(plan: RunConfig, opened: list[Source] | None = None) -> OpenCamera:
 
             return v4l2.open_camera(argument, plan.configuration.camera)
         if opened:
-            source = opened.pop()
+            source = opened.pop(0)
         elif is_camera(plan.source):
             source = open_source(plan.source, realtime=True)
         else:

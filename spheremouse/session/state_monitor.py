@@ -4,8 +4,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from spheremouse.capture.fetch import Capture
 from spheremouse.output.rate_limited_logger import strip_digits
+from spheremouse.session.captures import Captures
 from spheremouse.session.control.status import State
 from spheremouse.session.outputs import Outputs
 from spheremouse.session.timing import Arrivals
@@ -72,7 +72,7 @@ class StateMonitor:
     def __init__(
         self,
         worker: Worker,
-        capture: Capture,
+        captures: Captures,
         arrivals: Arrivals,
         outputs: Outputs,
         *,
@@ -80,7 +80,7 @@ class StateMonitor:
         notify: Callable[[str], None],
     ) -> None:
         """`log` takes lines for the log, `notify` the state as one line for systemd."""
-        self._worker, self._capture, self._arrivals, self._outputs = worker, capture, arrivals, outputs
+        self._worker, self._captures, self._arrivals, self._outputs = worker, captures, arrivals, outputs
         self._log, self._notify, self._notify_at = log, notify, 0.0
         self.starting = "the program starts"  # why nothing is tracked yet; empty once it can be
         self.paused = ""  # by what; empty while it is not
@@ -110,12 +110,12 @@ class StateMonitor:
 
     def _conditions(self, now: float) -> Conditions:
         """Collect the facts from which the state is derived."""
-        worker, capture, starting = self._worker, self._capture, self.starting
-        if not starting and capture.attempts <= 1 and worker.seen == 0 and capture.opening:
-            starting = capture.trouble
+        worker, captures, starting = self._worker, self._captures, self.starting
+        if not starting and captures.attempts <= 1 and worker.seen == 0 and captures.opening:
+            starting = captures.trouble
         return Conditions(
             starting=starting,
-            camera=capture.trouble or worker.trouble or self._arrivals.trouble(now),
+            camera=captures.trouble or worker.trouble or self._arrivals.trouble(now),
             paused=self.paused,
             targets=worker.adapter.waiting,
             ball=worker.adapter.reason,

@@ -14,7 +14,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.output import Counts, Mapping
 from spheremouse.output.sample import Sample
-from spheremouse.session.control.status import TrackerStatus
+from spheremouse.session.control.status import PoseStatus, TrackerStatus
 from spheremouse.session.process.threads import Work
 from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame, Status
@@ -98,13 +98,24 @@ class TrackerAdapter(Protocol):
         """Subject of a recording; None while nothing can be tracked."""
         ...
 
-    def wants_colour(self, stamp: float) -> bool:
-        """Return True if the frame of `stamp`, s, is needed in colour."""
+    def wants_colour(self, stamp: float, camera: int = 0) -> bool:
+        """Return True if the frame of a camera at `stamp`, s, is needed in colour."""
         ...
 
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Return the frames of a recording from the first that can be tracked, with the pose before it."""
-        return frames
+    def begin(self, *frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Return the frames of a recording from the first that can be tracked, with the pose before it.
+
+        `frames` are those of each camera. The result is in the order of the stamps, with the numbers of the cameras.
+        """
+        return frames[0]
+
+    def trouble_of(self, camera: int) -> str:
+        """Return the reason why a camera takes no part in tracking; empty if it does."""
+        return ""
+
+    def pose_of(self, camera: int) -> PoseStatus | None:
+        """Return the pose of a camera for the status; None while it is not known, and of a hand-held ball."""
+        return None
 
     def follow(self, frame: Frame) -> FrameResult | None:
         """Track a frame. Return None if it was not tracked. Raise SourceError if it cannot be used."""

@@ -6,6 +6,7 @@ One thread calls it, and it never waits. Other threads read its attributes.
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from spheremouse.capture.newest import Arrival, ContiguousBuffer
 from spheremouse.errors import DamagedFrameError, SourceError, internal_error_text
@@ -21,8 +22,11 @@ _MAX_DAMAGED_S = 1.0  # s of damaged frames alone that are reported
 class Worker:
     """Tracks raw frames."""
 
-    def __init__(self, adapter: TrackerAdapter, log: Callable[[str], None]) -> None:
+    def __init__(self, adapter: TrackerAdapter, log: Callable[[str], None], cameras: int = 1) -> None:
+        """`cameras` is the number of cameras whose frames come."""
         self.adapter, self._log = adapter, log
+        self.refused: dict[int, str] = {}  # reasons why the last frames of these cameras could not be used
+        self.frames_of = [0] * cameras  # frames of each camera that were tracked
         self.trouble = ""  # reason why no frame can be used
         self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
         self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each at the last look
@@ -46,7 +50,11 @@ class Worker:
         self.seen += 1
         self.unfit = False
         try:
-            frame = self.untracked = self._as_contiguous(raw.frame(colour or self.adapter.wants_colour(raw.stamp)))
+            frame = self.untracked = self._as_contiguous(
+                raw.frame(colour or self.adapter.wants_colour(raw.stamp, arrival.camera))
+            )
+            if arrival.camera:
+                frame = replace(frame, camera=arrival.camera)
             decoded, before = time.monotonic(), self.adapter.status
             made = self.adapter.follow(frame)
         except DamagedFrameError as e:
@@ -54,12 +62,15 @@ class Worker:
             if begun - self.good > _MAX_DAMAGED_S:
                 self.trouble = f"nothing but damaged frames for {begun - self.good:.0f} s ({e})"
         except SourceError as e:
-            self.trouble, self.unfit = str(e), True
+            self.refused[arrival.camera] = str(e)
+            if len(self.refused) == len(self.frames_of):
+                self.trouble, self.unfit = str(e), True
         except Exception:
             if self._too_many_faults(begun):
                 raise
         else:
             self.trouble, self.good = "", decoded
+            self.refused.pop(arrival.camera, None)
             if made is not None:
                 self.untracked = None
                 self._count(made, before, {"wait": begun - arrival.taken, "decode": decoded - begun})
@@ -79,6 +90,7 @@ class Worker:
     def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:
         """Count a frame, a loss of the ball, and the time of each stage."""
         self.frames += 1
+        self.frames_of[made.frame.camera] += 1
         if self.adapter.status is Status.LOST and before is not Status.LOST:
             self.lost += 1
         now = time.monotonic()

@@ -64,7 +64,8 @@ def random_rig(seed, targets, known_pose, discs, correlated=True):
         ball=Ball(rng.uniform(0.5, 0.7), rng.normal(size=3) / 100, whole[6:10, 6:10]),
         targets=Targets(
             ids=tuple(range(3, 3 + targets)), codes=CODES[:targets], position=rng.normal(size=(targets, 3)),
-            covariance=whole[10:, 10:], radii=np.sort(rng.uniform(0.01, 0.1, 3))
+            covariance=whole[10:, 10:], radii=np.sort(rng.uniform(0.01, 0.1, 3)),
+            normal=Rotation.random(rng=rng).as_matrix()[2] if rng.random() < 0.5 else np.array([0.0, 0.0, 1.0])
         ),
         disc_radius=rng.uniform(0.01, 0.03) if discs or rng.random() < 0.5 else None, **shutter(rng),
         pose=Pose(*place, whole[:6, :6], whole[:6, 6:10]) if known_pose else None,
@@ -247,6 +248,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "18: pose_ball_covariance: " + BEYOND,
         ),
         ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
+        ("\ntargets:", "\ntarget_normal: [2, 0, 0]\ntargets:", "13: target_normal: has length 2; give a unit vector"),
     ],
 )  # fmt: skip
 def test_a_wrong_rig_is_refused_with_line_and_advice(tmp_path, old, new, message):

@@ -192,7 +192,7 @@ def test_the_clips_lines_are_its_true_rotation_before_its_camera():
     """The recording has the true attitudes and the true pose of the camera; they were rendered by other code."""
     recording = open_dataset(CLIP)
     truth = Rotation.from_matrix(recording.truth.attitude)
-    adapter, form, lines = BallAdapter(recording.rig, Configuration(), None, lambda _: None), FicTrac(), []
+    adapter, form, lines = BallAdapter((recording.rig,), Configuration(), None, lambda _: None), FicTrac(), []
     for frame in adapter.begin(read_frames(recording)):
         made = adapter.follow(frame)
         assert made is not None

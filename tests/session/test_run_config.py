@@ -250,7 +250,7 @@ def test_a_setting_is_described_with_value_default_and_bounds_that_hold():
                     config.override(plan.configuration, f"{about['key']}={about[bound] + beyond}")
     types = {key: found[key]["type"] for key in ("output", "discs.masks", "motion.invert_x", "camera.gain", "source")}
     assert types == {"output": "list", "discs.masks": "list", "motion.invert_x": "flag", "camera.gain": "integer",
-                     "source": "text"}  # fmt: skip
+                     "source": "list"}  # fmt: skip
 
 
 def test_the_reply_with_all_settings_is_one_line_of_the_socket():

@@ -53,7 +53,7 @@ class RawFrame:
 class Play:
     def __init__(self, film, rig=None, settings=SETTINGS, do=here):
         self.said, self.k, self.film = [], 0, film
-        self.adapter = BallAdapter(film.rig if rig is None else rig, settings, None, self.said.append, do)
+        self.adapter = BallAdapter((film.rig if rig is None else rig,), settings, None, self.said.append, do)
         self.worker = Worker(self.adapter, self.said.append)
 
     def raw_frame(self, place, **kwargs):

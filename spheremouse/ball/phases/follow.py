@@ -38,7 +38,7 @@ def follow(
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
     if state.filter.stamp != stamp:
-        return state
+        return _beside_another(state, stamp, tracker, predicted)
     if state.filter.known_seen < SECURE and is_covered(state, predicted, tracker):
         return without_effect(before, tracker, predicted)
     if all_are_discs(state):
@@ -53,6 +53,22 @@ def follow(
     state, seen = classify_unmatched(state._replace(lookalikes=lookalikes), stamp, tracker)
     # a point that has just shown to turn with the ball is a disc at once: the next frame may show no other
     return _with_candidates(state, seen, tracker)
+
+
+def _beside_another(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> TrackState[So3State]:
+    """Return the state after a frame that shows no disc of the map, while another camera confirms the attitude.
+
+    Its points that turn with the ball become discs, so a camera takes part before the ball has turned the discs of the
+    other into its view.
+    """
+    if not _known_well(predicted, tracker):
+        return state
+    at_frame = without_effect(state, tracker, predicted)
+    lookalikes = static.with_places(state.lookalikes, predicted.candidates, predicted.places_of_candidates)
+    at_frame, seen = classify_unmatched(at_frame._replace(lookalikes=lookalikes), stamp, tracker)
+    return _with_candidates(at_frame, seen, tracker)
 
 
 def updated_hypotheses(

@@ -155,7 +155,7 @@ def _opened(
     from spheremouse.capture.nodes import default_camera, in_size
     from spheremouse.session.cameras import looked_through, node_of
 
-    spec = full_spec(source or configured.source or default_camera())
+    spec = full_spec(source or next(iter(configured.sources), None) or default_camera())
     kind, _, argument = spec.partition(":")
     size = _known_size(place, folder / "camera.yaml") or configured.camera.size
     if kind == "v4l2" and size is None and "width=" not in spec:

@@ -10,6 +10,7 @@ from rich.text import Text
 from spheremouse.errors import printable
 from spheremouse.session.control.status import (
     BallStatus,
+    CameraStatus,
     OutputStatus,
     PoseStatus,
     Quantiles,
@@ -55,7 +56,10 @@ def status_table(s: StatusReport) -> Panel:
         rows.add_row("saved", _text(f"{', '.join(s.saved)} (`ctl save --forget` goes back to the configuration file)"))
     for output in s.outputs:
         rows.add_row("output", _output(output, s.reason))
-    rows.add_row("source", _text(s.source.description or s.source.spec))
+    if not s.cameras:
+        rows.add_row("source", _text(s.source.description or s.source.spec))
+    for number, camera in enumerate(s.cameras, 1):
+        rows.add_row(f"camera {number}", _camera(camera))
     rows.add_row("unseen", f"{span(s.unseen_s)} of {span(s.uptime_s)}, lost {s.lost_count} times")
     if s.recording:
         rows.add_row("recording", _recording(s.recording))
@@ -145,6 +149,14 @@ def _pose(pose: PoseStatus | None) -> str:
     if pose is None:
         return "not known"
     return f"{span(pose.age_s)} old, within {max(pose.sigma_mm):.1f} mm (1 sigma)"
+
+
+def _camera(camera: CameraStatus) -> Text:
+    """Return one camera of two, with the reason why it takes no part."""
+    text = _text(f"{camera.description or camera.spec}, {camera.frames} frames")
+    if camera.trouble:
+        text.append(f": {printable(camera.trouble)}", style="bold red")
+    return text
 
 
 def _output(output: OutputStatus, reason: str) -> Text:

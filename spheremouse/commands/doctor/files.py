@@ -10,6 +10,7 @@ from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.capture import full_spec
+from spheremouse.commands.options import one_or_all
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
@@ -88,9 +89,9 @@ def _as_the_service(plan: RunConfig, overrides: CommandLineOverrides) -> RunConf
 def _completed(overrides: CommandLineOverrides, camera: str | None) -> CommandLineOverrides:
     """Return the request with a source and an output, which a plan needs."""
     c = config.in_force(overrides.file, overrides.assignments, Configuration)
-    source = full_spec(c.source or camera or "v4l2:")
-    output = c.outputs or ("auto" if is_camera(source) else "null",)
-    settings = config.assignments({"source": source, "output": output})
+    sources = c.sources or (camera or "v4l2:",)
+    output = c.outputs or ("auto" if is_camera(full_spec(sources[0])) else "null",)
+    settings = config.assignments({"source": one_or_all(sources), "output": output})
     return replace(overrides, assignments=(*overrides.assignments, *settings))
 
 

@@ -7,7 +7,7 @@ from spheremouse.commands.ctl.words import span
 from spheremouse.errors import ControlError
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, wrong
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.control.status import OutputStatus, StatusReport
+from spheremouse.session.control.status import CameraStatus, OutputStatus, StatusReport
 
 _MAX_LOST = 0.01  # of the frames; the filter bridges fewer
 _MAX_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
@@ -40,7 +40,15 @@ def check(status: StatusReport) -> list[Finding]:
     """Return findings about a status; values that are not known yet are left out."""
     checks = (_state, _frames, _latency, _discs, _motion)
     found = [finding for each in checks if (finding := each(status)) is not None]
+    found += [_camera(number, camera) for number, camera in enumerate(status.cameras, 1)]
     return found + [_output(output) for output in status.outputs]
+
+
+def _camera(number: int, camera: CameraStatus) -> Finding:
+    """Return the finding on one camera of two: the run goes on without it."""
+    text = f"{camera.description or camera.spec}: {camera.trouble or f'{camera.frames} frames tracked'}"
+    advice = "plug it in again, or remove what its trouble names; the other camera goes on"
+    return classify(f"camera {number}", text, (bool(camera.trouble), Verdict.WARNING, "", advice))
 
 
 def _state(s: StatusReport) -> Finding:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile, settings_given
+from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, one_or_all, settings_given
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 def run(
     source: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="KIND:ARG",
             help="Source of the frames: v4l2:DEVICE or opencv:INDEX (cameras), video:PATH, dataset:DIR or "
-            "synthetic[:KEY=VALUE,...].  [default: `source` of the configuration]",
+            "synthetic[:KEY=VALUE,...]. Give two for two cameras of one ball.  "
+            "[default: `source` of the configuration]",
         ),
     ] = None,
     output: Annotated[
@@ -46,7 +47,13 @@ def run(
         ),
     ] = None,
     config: ConfigFile = None,
-    rig: RigFile = None,
+    rig: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="The device as calibrated, in place of the recording's. With two sources, give one for each.",
+        ),
+    ] = None,
     camera: CameraFile = None,
     map_file: Annotated[
         Path | None,
@@ -107,15 +114,15 @@ def run(
 
     if map_file is not None and no_map:
         raise ConfigurationError("--map and --no-map: give one of the two")
-    options = {"tracker": tracker, "source": source, "output": output, "rig": rig, "camera_file": camera}
-    options |= {"map": map_file, "wand.balls": balls}
+    options = {"tracker": tracker, "source": one_or_all(source), "output": output, "rig": one_or_all(rig)}
+    options |= {"camera_file": camera, "map": map_file, "wand.balls": balls}
     given = settings_given(assignments, config, options)
     saved = None if replay else saved_file(config)
     overrides = CommandLineOverrides(config, (*(_SETTINGS_OF_REPLAY if replay else ()), *given), no_map, saved=saved)
     plan = read_run_config(overrides)
     check_kinds(plan)
     if overlay is not None:
-        _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
+        _refuse_loss(overlay, plan, (config, camera, map_file, *(rig or ()), *(balls or ())))
     if balls and plan.configuration.tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
     pace: Pace = "replay" if replay else "realtime" if realtime else "fast"
@@ -181,14 +188,15 @@ def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...
     """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
     from spheremouse.output import file_of
 
-    _, _, source = plan.source.partition(":")
-    others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
+    sources = [Path(path) for each in plan.cameras if (path := each.source.partition(":")[2])]
+    rigs = (each.rig_path for each in plan.cameras)
+    others = [path for path in (*given, *rigs, plan.camera_path, plan.map_path) if path is not None]
     others += [file for spec in plan.outputs if (file := file_of(spec)) is not None]
-    others += [Path(source)] if source else []
+    others += sources
     target = overlay.resolve()
     if any(target == other.resolve() for other in others):
         raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
-    if source and overlay.exists() and Path(source).resolve() in target.parents:
+    if overlay.exists() and any(source.resolve() in target.parents for source in sources):
         raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
 
 
@@ -210,8 +218,9 @@ def serve(
     from spheremouse.session.service import Daemon
     from spheremouse.session.setup import opener
 
-    refuse_if_taken(plan.source)
-    opened = [] if setup.source is None else [setup.source]
+    for each in plan.cameras:
+        refuse_if_taken(each.source)
+    opened = [source for source in (setup.source, setup.second) if source is not None]
     daemon = Daemon(
         overrides,
         plan,
@@ -251,10 +260,11 @@ def follow(
     from spheremouse.session.run_description import describe_run
     from spheremouse.session.tracker_adapter import here
 
-    assert setup.source is not None
+    if smooth and plan.second is not None:
+        raise ConfigurationError("--smooth: takes the recording of one camera; leave it out, or give one")
     failure: SpheremouseError | None = None
     with ExitStack() as stack:  # also closed if the reader of an output has gone
-        source = stack.enter_context(setup.source)
+        sources = [stack.enter_context(each) for each in (setup.source, setup.second) if each is not None]
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
         targets = offline.opened(plan.outputs, stack, view)
@@ -263,7 +273,7 @@ def follow(
         for notice in filter(None, map(left_out, plan.outputs)):
             view.log(str(notice))
         try:
-            chosen = islice(adapter.begin(stopping.frames(iter(source))), frames)
+            chosen = islice(adapter.begin(*(stopping.frames(iter(source)) for source in sources)), frames)
             tracked = offline.results(stopping.frames(chosen), adapter)
             if smooth:
                 tracked = offline.smoothed(tracked, adapter, plan.configuration.so3)

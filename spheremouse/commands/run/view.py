@@ -40,12 +40,12 @@ class RunView:
         self._screen.log(text)
 
     def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
-        """Show the line, and add the frame to the overlay."""
+        """Show the line, and add a frame of the first camera to the overlay."""
         self.tally.add(report.counts, sum(made.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(adapter, BallAdapter) and adapter.resection:
             self.log(describe(adapter.resection, adapter.rig))
         self._screen.show(made, self.tally)
-        if self.overlay is not None:
+        if self.overlay is not None and made.frame.camera == 0:
             self._draw(self.overlay, made, adapter)
 
     def _draw(self, overlay: OverlayFile, made: FrameResult, adapter: TrackerAdapter) -> None:

@@ -51,6 +51,7 @@ def load_rig(path: Path) -> Rig:
             position=np.array([t.position for t in file.targets]).reshape(-1, 3),
             covariance=targets_covariance(file),
             radii=np.array(file.target_radii or (0.0, 0.0, 0.0)),
+            normal=np.array(file.target_normal),
         ),
         disc_radius=file.disc_radius,
         readout_s=file.readout_s or 0.0,
@@ -101,6 +102,10 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
     ]
     if np.any(rig.targets.radii):
         lines.append(f"target_radii: {_flow(rig.targets.radii)}  # inner disc, middle ring, outer ring")
+    if rig.targets.normal[2] != 1.0:
+        lines.append(
+            f"target_normal: {_flow(rig.targets.normal)}  # that they face, in the axes of another camera's rig"
+        )
     lines += _targets_lines(rig)
     if rig.pose is not None:
         lines += _matrix_lines(rig.pose.matrix(), "T_obj_cam", "  # a point in camera coordinates to obj")

@@ -40,6 +40,9 @@ def rig_problems(file: RigFile) -> Iterator[Problem]:
     if not ball and not pose:
         key = ("pose_ball_covariance",)
         yield from _cross_problems(key, matrix(file.pose_covariance, 6), file.pose_ball_covariance, file.ball)
+    if abs(np.linalg.norm(file.target_normal) - 1.0) > 1e-6:
+        length = np.linalg.norm(file.target_normal)
+        yield Problem(("target_normal",), f"has length {length:.4g}; give a unit vector")
     for i, disc in enumerate(file.discs):
         if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
             yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")

@@ -76,6 +76,9 @@ class RigFile(CameraFile):
     target_radii: tuple[Length, Length, Length] | None = Field(
         None, description="[inner disc, middle ring, outer ring] in m"
     )
+    target_normal: Vector3 = Field(
+        (0.0, 0.0, 1.0), description="unit vector [x, y, z] that the targets face, obj; other axes by `calibrate tie`"
+    )
     targets: tuple[TargetPart, ...] = Field((), max_length=len(CODES), description="list of {id, code, position}")
     targets_covariance: Matrix | None = Field(
         None, description="3n x 3n in m², x, y, z of the first target, x, y, z of the second, ..."

@@ -1,45 +1,42 @@
-"""The tracker of the ball in its frame: search the targets until the camera's pose is known, then track every frame.
+"""The tracker of the ball in its frame: search the targets until a camera's pose is known, then track every frame.
 
 Another thread does any work that may take longer than a frame.
 """
 
 import time
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build, check_discs, detector_of, map_kind
-from spheremouse.ball.camera_moved import shows_targets
+from spheremouse.ball.build import build, check_discs, detector_of, map_kind
+from spheremouse.ball.cameras import begin_with, cameras_of, check_cameras, current_of, facing, with_camera
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.smooth import Observation, observe
-from spheremouse.ball.state import Epoch, Tracker, Tracking, TrackState, current, lost
-from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
+from spheremouse.ball.state import Epoch, Tracker, Tracking, TrackState, lost
+from spheremouse.ball.track import wants_colour, with_settings
 from spheremouse.errors import PoseError, SpheremouseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.output import Counts
 from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
+from spheremouse.session.ball.camera import PosedCamera
 from spheremouse.session.ball.map_keeper import MapKeeper, Newest
 from spheremouse.session.ball.recorded import ball_subject, kept, sought
-from spheremouse.session.ball.search import BallMessages, PoseRecovery, PoseSearch
-from spheremouse.session.control.protocol import internal_error
-from spheremouse.session.control.status import PoseStatus, TargetsStatus, TrackerStatus
+from spheremouse.session.ball.search import BallMessages
+from spheremouse.session.control.status import PoseStatus, TrackerStatus
 from spheremouse.session.directions import of_ball
-from spheremouse.session.offline import initialise
+from spheremouse.session.offline import initialise, merged
 from spheremouse.session.overlay.annotations import of_discs, of_still, of_targets, plain
 from spheremouse.session.overlay.drawing import picture_of
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
     MAP,
-    POSE,
     TARGETS,
     Do,
     FrameResult,
@@ -51,64 +48,75 @@ from spheremouse.session.tracker_adapter import (
 )
 from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
 
-_MIN_TARGETS = 3  # for a pose
-
-
-class _Reinitialisation(NamedTuple):
-    """A request to estimate the camera's pose again while the ball is tracked with the old one."""
-
-    search: PoseSearch
-    answer: Callable[[str | None, str], None]
-    wanted: Callable[[], bool]
-
 
 class BallAdapter(TrackerAdapter):
-    """Tracker adapter of the ball in its frame, for one device and its settings."""
+    """Tracker adapter of the ball in its frame, for its settings, and the rig of each camera."""
 
     def __init__(
         self,
-        rig: Rig,
+        rigs: Sequence[Rig],
         settings: Configuration,
         keeper: MapKeeper | None,
         log: Callable[[str], None],
         do: Do = here,
-        given: Rig | None = None,
+        given: Sequence[Rig | None] = (None,),
     ) -> None:
-        """Create the adapter, which tracks at once if the rig has the camera's pose.
+        """Create the adapter, which tracks at once if a rig has the camera's pose.
 
-        `keeper` saves the map of the ball; None saves none. `log` prints a line. `do` has another thread do work.
-        `given` is the rig of the source, if it has one. Raises PoseError if the rig has neither the camera's pose nor
-        three targets, or if the ball is not in view, and ConfigurationError if the ball has no discs.
+        `rigs` are those of the cameras by their numbers, in the same axes. `keeper` saves the map of the ball; None
+        saves none. `log` prints a line. `do` has another thread do work. `given` are the rigs of the sources, if they
+        have one. Raises PoseError if a rig has neither the camera's pose nor three targets, or if the ball is not in
+        view, and ConfigurationError if the ball has no discs.
         """
-        check_discs(rig, settings)
-        self.rig, self.settings, self._keeper, self._log = rig, settings, keeper, log
+        for rig in rigs:
+            check_discs(rig, settings)
+        check_cameras(rigs, settings)
+        self.settings, self._keeper, self._log = settings, keeper, log
         self._do, self._given = do, given
-        self.pose: Pose | None = None
-        self.resection: Resection | None = None  # of the first pose
-        self._posed = 0.0  # s, time.monotonic() when the pose was found
+        names = [f"camera {k + 1}: " if len(rigs) > 1 else "" for k in range(len(rigs))]
+        self.cameras = tuple(
+            PosedCamera(k, rig, settings, lambda text, name=name: log(name + text), do)
+            for k, (rig, name) in enumerate(zip(rigs, names, strict=True))
+        )
+        self._names, self._shown = names, self.cameras[0]  # the camera of the last frame
         self.state: TrackState | None = None
-        self.waiting = "the ring targets are looked for"
+        self.waiting = self._waiting()
         self.status = Status.SEARCHING
         self._messages = BallMessages(partial(do, TARGETS))
         self.untracked = 0  # frames before the first pose
-        self._tracker: Tracker | None = None
         self._subject: Subject | None = None
-        self.mapping = self._counter = Counter(settings.motion.matrix(rig.radius_m))
+        self.mapping = self._counter = Counter(settings.motion.matrix(self.rig.radius_m))
         self._estimate: Estimate | None = None  # of the last frame
         self._interval = 0.0  # s, between the last two frames
         self._still: tuple[Pose, dict[str, Any]] | None = None  # annotations that hold for this pose
-        self._forget_views()
-        self._reinitialisation: _Reinitialisation | None = None
-        self._detected = 0.0
-        if rig.pose is not None:
-            self._set_camera_pose(rig.pose, "camera pose: from the rig file")
-        elif len(rig.targets.codes) < _MIN_TARGETS:
-            raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of the first camera."""
+        return self.cameras[0].rig
+
+    @property
+    def pose(self) -> Pose | None:
+        """The pose of the first camera; None while it is not known."""
+        return self.cameras[0].pose
+
+    @property
+    def resection(self) -> Resection | None:
+        """The first pose of the first camera, from its targets; None if the rig has it."""
+        return self.cameras[0].resection
 
     @property
     def tracker(self) -> Tracker | None:
-        """The tracker in use; None while the camera's pose is not known."""
-        return self._tracker if self.state is None or self._tracker is None else current(self.state, self._tracker)
+        """The tracker in use for the first camera; None while its pose is not known."""
+        return self._tracker_of(self.cameras[0])
+
+    def _tracker_of(self, camera: PosedCamera) -> Tracker | None:
+        tracker, state = camera.tracker, self.state
+        return tracker if tracker is None or state is None else current_of(state, camera.number, tracker)
+
+    def _waiting(self) -> str:
+        """Return the reason why no camera shows anything to track; empty if one does."""
+        return "" if any(camera.tracker is not None for camera in self.cameras) else self.cameras[0].waiting
 
     @property
     def reason(self) -> str:
@@ -128,49 +136,52 @@ class BallAdapter(TrackerAdapter):
             self._subject = ball_subject(self.rig, tracker.pose, self.settings)
         return self._subject
 
-    def begin(self, frames: Iterator[Frame]) -> Iterator[Frame]:
-        """Take the camera's pose from the first frames with enough targets, and return the frames to track.
+    def begin(self, *frames: Iterator[Frame]) -> Iterator[Frame]:
+        """Take each camera's pose from its first frames with enough targets, and return the frames to track.
 
         Raises PoseError if no frames show enough targets.
         """
-        reports = list[str]()
-        start = initialise(frames, self.rig, self.settings, report=reports.append)
-        self.untracked = start.passed
-        for report in reports:
-            self._log(f"views passed over: {report}")
-        if start.resection is not None:
-            self._set_camera_pose(start.pose, messages.standing(start.resection, self.rig), start.resection)
+        starts = list[Iterator[Frame]]()
+        for camera, name, its_frames in zip(self.cameras, self._names, frames, strict=True):
+            reports = list[str]()
+            start = initialise(its_frames, camera.rig, self.settings, report=reports.append)
+            self.untracked += start.passed
+            for report in reports:
+                self._log(f"{name}views passed over: {report}")
+            if start.resection is not None:
+                camera.set_pose(start.pose, messages.standing(start.resection, camera.rig), start.resection)
+            starts.append(start.frames)
+        self.waiting = self._waiting()
         if self.rig.scale_free:
             scale = self.settings.motion.scale(None)
             self._log(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
-        return start.frames
+        return starts[0] if len(starts) == 1 else merged(starts)
 
-    def _set_camera_pose(self, pose: Pose, text: str, resection: Resection | None = None) -> None:
-        """Set the pose and its tracker, and log `text`. `resection` is the estimate from targets, if there was one.
-
-        Raises PoseError if the ball is not in view.
-        """
-        self._tracker = build(self.rig, pose, self.settings)
-        self.pose, self._posed, self.waiting, self.resection = pose, time.monotonic(), "", resection
-        self._log(text)
-
-    def wants_colour(self, stamp: float) -> bool:
-        again = self._reinitialisation
-        if self._tracker is None or (again is not None and again.search.wants_colour):
+    def wants_colour(self, stamp: float, camera: int = 0) -> bool:
+        if self.cameras[camera].wants_colour or self.state is None:
             return True
-        return self.state is None or wants_colour(self.state, stamp)
+        if self.state.camera != camera:
+            if camera not in cameras_of(self.state):
+                return True
+            self.state = facing(self.state, camera)
+        return wants_colour(self.state, stamp)
 
     def follow(self, frame: Frame) -> FrameResult | None:
-        """Track a frame. While the camera's pose is unknown, search the frame for targets instead, and return None.
+        """Track a frame. While its camera's pose is unknown, search it for targets instead, and return None.
 
-        The frame that gives the pose is not tracked either. Raises SourceError if the frame has another size than the
-        camera.
+        The frame that gives the pose is not tracked either, and so is one that is older than the last one of another
+        camera. Raises SourceError if the frame has another size than the camera.
         """
-        check_size(frame, self.rig.camera)
-        if self._tracker is None:
-            self._look_for_targets(frame)
+        camera = self._shown = self.cameras[frame.camera]
+        check_size(frame, camera.rig.camera)
+        if camera.tracker is None:
+            self.untracked += 1
+            camera.look_for_targets(frame)
+            self.waiting = self._waiting()
             return None
-        return self._track(frame, self._tracker)
+        if self.state is not None and self.state.camera != frame.camera and camera.is_late(frame, self.state):
+            return None
+        return self._track(frame, camera, camera.tracker)
 
     def observation(self, tracked: FrameResult) -> Observation | None:
         tracker, epoch = self.tracker, tracked.epoch
@@ -183,8 +194,8 @@ class BallAdapter(TrackerAdapter):
 
     def interrupted(self, reason: str) -> None:
         """Drop the work on past frames, since the camera may be moved meanwhile."""
-        self._forget_views()
-        self._cancel_reinitialisation(reason)
+        for camera in self.cameras:
+            camera.interrupted(reason)
 
     def slept(self) -> None:
         """Have the ball recognised by its map, as after a gap in the stamps: their clock stood."""
@@ -194,26 +205,23 @@ class BallAdapter(TrackerAdapter):
 
     def restart(self, reason: str) -> None:
         """Search the ball again, with the known camera pose. `reason` is the state in words until the ball is found."""
-        self._tracker = self.tracker  # at the pose that a bumped camera was given since
+        for camera in self.cameras:
+            camera.tracker = self._tracker_of(camera)  # at the pose that a bumped camera was given since
+            camera.forget_views()
         self.state, self.status = None, Status.SEARCHING
         self._messages.restart(reason)
-        self._forget_views()
 
     def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], TrackerAdapter]:
         """Prepare other settings, another map or another device. The result saves the map before it reads another."""
         settings = plan.configuration
-        rig = plan.device(self._given) if "rig" in changed else self.rig
-        mapped = not {"rig", "map"}.isdisjoint(changed)
+        rigs = plan.devices(self._given) if "rig" in changed else tuple(camera.rig for camera in self.cameras)
+        mapped, rig = not {"rig", "map"}.isdisjoint(changed), rigs[0]
         if "rig" in changed:
-            BallAdapter(rig, settings, None, _discard)
+            BallAdapter(rigs, settings, None, _discard)
         if mapped and plan.map_path is not None:
             MapKeeper(plan.map_path, rig, map_kind(rig, settings), _discard)
-        state, tracker = self.state, self._tracker
         tuned = "tracker" in changed and "rig" not in changed
-        if tuned and tracker is not None and state is not None:
-            state, tracker = with_settings(state, tracker, settings)
-        elif tuned and tracker is not None:
-            tracker = build(self.rig, tracker.pose, settings)
+        state, trackers = self._tuned(settings) if tuned else (self.state, [c.tracker for c in self.cameras])
 
         def apply() -> TrackerAdapter:
             if mapped:
@@ -221,31 +229,44 @@ class BallAdapter(TrackerAdapter):
                 self._keeper = self._next_keeper(plan, rig)
             if "rig" in changed:
                 self.interrupted("another rig is in use now")
-                return BallAdapter(rig, settings, self._keeper, self._log, self._do, self._given)
-            self.state, self._tracker, self._subject = state, tracker, None
+                return BallAdapter(rigs, settings, self._keeper, self._log, self._do, self._given)
+            self.state, self._subject = state, None
             self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
                 self._messages.restart("another filter begins")
             elif map_kind(rig, settings) != map_kind(rig, self.settings):
                 self._messages.restart("another detector begins")
             self.settings = settings
-            self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
-            if tuned:
-                self._forget_views()
+            self._counter.matrix = settings.motion.matrix(rig.radius_m)
+            for camera, tracker in zip(self.cameras, trackers, strict=True):
+                camera.tracker, camera.settings = tracker, settings
+                if tuned:
+                    camera.forget_views()
             return self
 
         return apply
 
+    def _tuned(self, settings: Configuration) -> tuple[TrackState | None, list[Tracker | None]]:
+        """Return the state and the trackers of the cameras with other settings."""
+        check_cameras([camera.rig for camera in self.cameras], settings)
+        state, trackers = self.state, list[Tracker | None]()
+        for camera in self.cameras:
+            tracker = camera.tracker
+            if tracker is not None and state is not None and camera.number in cameras_of(state):
+                state, tracker = with_settings(facing(state, camera.number), tracker, settings)
+            elif tracker is not None:
+                tracker = build(camera.rig, tracker.pose, settings)
+            trackers.append(tracker)
+        return state, trackers
+
+    def trouble_of(self, camera: int) -> str:
+        return self.cameras[camera].trouble(self.state)
+
+    def pose_of(self, camera: int) -> PoseStatus | None:
+        return self.cameras[camera].pose_status()
+
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        if self._tracker is None:
-            answer(None, f"the pose is being looked for: {self.waiting}")
-        elif len(self.rig.targets.codes) < _MIN_TARGETS:
-            answer("the rig has fewer than three targets: its camera pose is that of the rig file", "")
-        elif self._reinitialisation is not None:
-            answer("the camera's pose is being estimated already; wait for its end", "")
-        else:
-            search = PoseSearch(self.rig, self.settings, partial(self._do, POSE))
-            self._reinitialisation = _Reinitialisation(search, answer, wanted)
+        self.cameras[0].reinitialise(answer, wanted)
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
         estimate = self._estimate
@@ -257,8 +278,8 @@ class BallAdapter(TrackerAdapter):
             discs_known=int(found.get("discs_known", 0)),
             centre_shift_mm=self._centre_shift_mm(),
             motion=of_ball(self.settings.motion).motion(estimate) if tracking and estimate is not None else None,
-            pose=self._pose_status(),
-            targets=self._targets_status(),
+            pose=self.pose_of(0),
+            targets=self.cameras[0].targets_status() if self.waiting else None,
         )
 
     def _centre_shift_mm(self) -> float | None:
@@ -289,9 +310,10 @@ class BallAdapter(TrackerAdapter):
 
     def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
         """Return the marks on the last frame as plain data. Before the pose is known, they are the targets found."""
-        tracker, state, view = self.tracker, self.state, self._first_pose.view
+        camera = self._shown
+        tracker, state, view = self._tracker_of(camera), self.state, camera.first_pose.view
         if tracker is None:
-            found = {} if view is None else of_targets(view, self.rig.targets.codes)
+            found = {} if view is None else of_targets(view, camera.rig.targets.codes)
             return plain(None, self.status, **found)
         if self._still is None or self._still[0] is not tracker.pose:
             self._still = tracker.pose, of_still(tracker.rig, tracker.pose)
@@ -302,13 +324,13 @@ class BallAdapter(TrackerAdapter):
         )
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        tracker = self.tracker
+        tracker = self._tracker_of(self._shown)
         assert tracker is not None
-        keep = None if everything else partial(kept, self.rig, tracker.pose, self.settings)
+        keep = None if everything else partial(kept, tracker.rig, tracker.pose, self.settings)
         return picture_of(tracked, self.annotations(tracked), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
+        return partial(sought, frame.image.copy(), self._shown.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
         why = self.waiting if self.untracked else unused or "the source gave no frame"
@@ -330,113 +352,33 @@ class BallAdapter(TrackerAdapter):
             self._log(f"map: {e}; going on without")
             return None
 
-    def _pose_status(self) -> PoseStatus | None:
-        pose = self.pose
-        if pose is None:
-            return None
-        sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
-        return PoseStatus(
-            position_m=pose.position.tolist(),
-            sigma_mm=(1e3 * sigma[:3]).tolist(),
-            sigma_deg=np.degrees(sigma[3:]).tolist(),
-            age_s=time.monotonic() - self._posed,
-        )
-
-    def _targets_status(self) -> TargetsStatus | None:
-        if not self.waiting:
-            return None
-        seen, known = self._first_pose.seen, self.rig.targets.codes
-        return TargetsStatus(
-            seen=[c for c in known if c in seen],
-            missing=[c for c in known if c not in seen],
-            strangers=[c for c in seen if c not in known],
-        )
-
-    def _forget_views(self) -> None:
-        """Drop the views of past frames, and the results of searches that run."""
-        self._first_pose = PoseSearch(self.rig, self.settings, partial(self._do, TARGETS))
-        self._recovery = PoseRecovery(partial(self._do, TARGETS))
-
-    def _look_for_targets(self, frame: Frame) -> None:
-        """Add a view. Once there are enough, set the pose, or `waiting` to the reason why it was not found."""
-        self.untracked += 1
-        try:
-            found = self._first_pose.look(frame)
-            if found is not None:
-                self._set_camera_pose(found.pose, messages.standing(found, self.rig), found)
-        except PoseError as e:
-            self.waiting = str(e)
-
-    def _track(self, frame: Frame, tracker: Tracker) -> FrameResult:
-        known = None if self._keeper is None else self._keeper.known
-        before = self.state or begin(tracker, frame.stamp, known=known)
-        begun = self._detected = time.monotonic()
-        found = None if self._reinitialisation is None else self._estimate_pose(frame, self._reinitialisation)
-        sought = self._recovery.found(current(before, tracker))
-        if found is not None and not shows_targets(frame, tracker, found.pose):
-            self._cancel_reinitialisation("the targets are not where the frames before showed them")
-            found = None
-        if found is not None:
-            made = self._with_pose(before, frame, tracker, found)
-        elif sought is not None and shows_targets(frame, tracker, sought):
-            made = with_pose(before, frame, tracker, sought)
-        else:
-            made = step(before, frame, tracker, self._note_detected, self._recovery)
-        seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
-        self._remember(made, frame, tracker)
+    def _track(self, frame: Frame, camera: PosedCamera, tracker: Tracker) -> FrameResult:
+        state = self.state
+        if state is None:
+            known = None if self._keeper is None else self._keeper.known
+            state = begin_with(tracker, camera.number, frame.stamp, known)
+        elif state.camera != frame.camera:
+            state = self._facing(state, camera, tracker)
+        begun = time.monotonic()
+        made = camera.step(state, frame)
+        seconds = {"detect": camera.detected - begun, "filter": time.monotonic() - camera.detected}
+        self._remember(made, frame, current_of(made.state, camera.number, tracker))
         epoch = Epoch(frame, made.state, made.estimate, made.events, seconds)
-        sample = Sample(made.estimate, events=tuple(event.name for event in made.events), camera=self.pose)
+        sample = Sample(made.estimate, events=tuple(event.name for event in made.events), camera=camera.pose)
         return FrameResult(frame, (sample,), 0, seconds, epoch)
 
-    def _note_detected(self) -> None:
-        self._detected = time.monotonic()
-
-    def _with_pose(self, state: TrackState, frame: Frame, tracker: Tracker, found: Resection) -> Step[TrackState]:
-        """Return the step at the requested new pose `found`, or at the earlier one if the ball is not in view from it.
-
-        The client gets its answer.
-        """
-        assert self._reinitialisation is not None
-        try:
-            made = with_pose(state, frame, tracker, found.pose)
-        except PoseError as e:
-            self._cancel_reinitialisation(str(e))
-            return step(state, frame, tracker, self._note_detected, self._recovery)
-        except Exception:
-            self._cancel_reinitialisation("internal error")
-            raise
-        self._reinitialisation.answer(None, messages.standing(found, self.rig))
-        self._reinitialisation = None
-        asked = tuple(replace(e, asked=True) if isinstance(e, CameraMoved) else e for e in made.events)
-        return made._replace(events=asked)
-
-    def _estimate_pose(self, frame: Frame, again: _Reinitialisation) -> Resection | None:
-        """Add a view for a requested estimate of the pose. Return the estimate once there is one, else None."""
-        if not again.wanted():
-            self._cancel_reinitialisation("given up: the client has disconnected")
-            return None
-        try:
-            return again.search.look(frame)
-        except SpheremouseError as e:
-            self._cancel_reinitialisation(str(e))
-        except Exception as e:
-            self._cancel_reinitialisation(internal_error(e))
-        return None
-
-    def _cancel_reinitialisation(self, reason: str) -> None:
-        again, self._reinitialisation = self._reinitialisation, None
-        if again is not None:
-            again.answer(f"{reason}; the pose before stays", "")
+    def _facing(self, state: TrackState, camera: PosedCamera, tracker: Tracker) -> TrackState:
+        """Return the state for a frame of another camera than the last, which may be its first frame."""
+        if camera.number not in cameras_of(state):
+            present = [self._tracker_of(self.cameras[number]) for number in cameras_of(state)]
+            state = with_camera(state, tracker, [each for each in present if each is not None], camera.number)
+        return facing(state, camera.number)
 
     def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
         if self._estimate is not None:
             self._interval = made.estimate.stamp - self._estimate.stamp
         self.state, self.status, self._estimate = made.state, made.state.status, made.estimate
-        tracker = current(made.state, tracker)
-        self._messages.add(made, frame, tracker)
-        pose = tracker.pose
-        if pose is not self.pose:
-            self.pose, self._posed = pose, time.monotonic()
+        self._messages.add(made, frame, tracker, self._names[frame.camera])
         if self._keeper is not None:
             self._keeper.keep(Newest(partial(tracker.method.to_map, made.state), made.state.absolute))
 

@@ -13,7 +13,7 @@ from spheremouse.ball.camera_moved import Moved, seek_by_colour
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import Absence
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
-from spheremouse.ball.events import MotionReleased, MotionWithheld
+from spheremouse.ball.events import OF_CAMERA, MotionReleased, MotionWithheld
 from spheremouse.ball.pose import Resection, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -139,16 +139,20 @@ class BallMessages:
         """Create the texts; `elsewhere` runs the diagnosis of a picture in another thread."""
         self.reason = ""  # for the status: the state of the ball; empty if there is nothing to report
         self._known, self._log = "", ""
+        self._last = ""  # reason for missing discs, in the last frame of the first camera
         self._missing = MissingDiscs(elsewhere)
 
-    def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
-        """Update the texts from one frame and the tracker's step for it."""
+    def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker, name: str = "") -> None:
+        """Update the texts from one frame and the tracker's step for it. A `name` precedes events of the camera."""
         state, events = made.state, made.events
         words = tracker.detector.words
         lines = [messages.line(events, words)] if events else []
+        if name and any(isinstance(event, OF_CAMERA) for event in events):
+            lines = [name + line for line in lines]
         if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
             self._known = messages.reason(lasting, words)
-        missing, new = self._missing.look(state, frame, tracker)
+        missing, new = self._missing.look(state, frame, tracker) if frame.camera == 0 else (self._last, False)
+        self._last = missing
         if new:
             lines.append(missing)
         if lines:

@@ -114,6 +114,18 @@ class SourceStatus(_Part):
     replay: ReplayStatus | None = None
 
 
+class CameraStatus(_Part):
+    """One camera of two."""
+
+    spec: Text  # of its source
+    description: Text
+    trouble: Text  # why it takes no part in tracking; empty if it does
+    rig: Text | None
+    frames: int  # tracked
+    restarts: int
+    pose: PoseStatus | None
+
+
 class RecordingStatus(_Part):
     folder: Text
     frames: int
@@ -151,7 +163,8 @@ class StatusReport(TrackerStatus):
     damaged: int
     counts: Counts
     outputs: list[OutputStatus]  # the main one first
-    source: SourceStatus
+    source: SourceStatus  # of the first camera
+    cameras: list[CameraStatus] = Field(default_factory=list)  # of two cameras, else none
     unseen_s: float
     lost_count: int
     camera_restarts: int

@@ -49,7 +49,8 @@ class Archive:
     def keep(self, made: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
         """Copy the image of a tracked frame for recording and snapshot; `counts` returns the sum of the sent counts."""
         self.give_up()
-        if self._recorder is not None and self._recorder.add(made.frame, adapter.subject):
+        first = made.frame.camera == 0  # a recording is of one camera
+        if self._recorder is not None and first and self._recorder.add(made.frame, adapter.subject):
             self._bare &= made.frame.image.ndim != 3
             self._answer_begun()
         self._take_snapshot(lambda everything: adapter.picture(made, counts(), everything))

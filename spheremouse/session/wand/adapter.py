@@ -77,7 +77,7 @@ class WandAdapter(TrackerAdapter):
         balls = (f"ball: {b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in self.tracker.balls)
         self._log("\n".join(balls))
 
-    def wants_colour(self, stamp: float) -> bool:
+    def wants_colour(self, stamp: float, camera: int = 0) -> bool:
         """Return True: the balls are searched by their colours."""
         return True
 

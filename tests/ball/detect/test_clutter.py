@@ -232,7 +232,7 @@ def film(seconds, **options):
 
 
 def adapter(rig, do):
-    return BallAdapter(rig, TWO_VIEWS, None, lambda _: None, do)
+    return BallAdapter((rig,), TWO_VIEWS, None, lambda _: None, do)
 
 
 def work(adapter, raw):

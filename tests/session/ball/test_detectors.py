@@ -66,7 +66,7 @@ def settings_of(name):
 @cache
 def watched(name, hidden=range(0)):
     rig, frames, _ = film(name)
-    seen = Watched(BallAdapter(rig, settings_of(name), None, lambda _: None), [], [], [], "")
+    seen = Watched(BallAdapter((rig,), settings_of(name), None, lambda _: None), [], [], [], "")
     support, lines = seen.adapter.tracker.detector.support_mask(rig, rig.pose, settings_of(name)) > 0, []
     for k, frame in enumerate(frames):
         image = frame.image.copy()

@@ -34,7 +34,7 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     rig = replace(film.scene.rig(), pose=film.scene.pose)
     rig = replace(rig, disc_radius=disc * rig.disc_radius)
     settings = Configuration(discs=DiscSettings(polarity="dark"))
-    adapter = BallAdapter(rig, settings, None, lambda _: None)
+    adapter = BallAdapter((rig,), settings, None, lambda _: None)
     matrix = MotionSettings().matrix(rig.radius_m)
     ball = ball_mask(rig, film.scene.pose) > 0
     seen = Seen([], [], np.zeros((0, 3)), np.zeros(3), 0.0, [], [])
@@ -121,7 +121,7 @@ def test_a_ball_that_sinks_states_its_cause_and_by_how_much():
     film = prepare(
         SimulationOptions(motion="play", seconds=3.0, lift=1.5, lift_by=(0.0, -10.0, 0.0), lift_seconds=9.0, seed=1)
     )
-    adapter = BallAdapter(replace(film.scene.rig(), pose=film.scene.pose), Configuration(), None, lambda _: None)
+    adapter = BallAdapter((replace(film.scene.rig(), pose=film.scene.pose),), Configuration(), None, lambda _: None)
     lines = []
     for filmed in simulate(film):
         adapter.follow(filmed.frame)

@@ -41,7 +41,7 @@ def film():
 def watched(dark_from):
     """Return the adapter after the film, its reasons and its log lines; the ball is black from a time, s, on."""
     rig, pose, frames = film()
-    adapter = BallAdapter(rig, Configuration(), None, lambda _: None)
+    adapter = BallAdapter((rig,), Configuration(), None, lambda _: None)
     last, reasons, lines, ball = None, [], [], ball_mask(rig, pose) > 0
     for frame in frames:
         image = frame.image.copy()
@@ -68,7 +68,7 @@ def test_the_log_has_parts_of_the_pattern_and_no_disc():
 
 def test_a_ball_that_rests_and_one_that_is_dark_state_why():
     rig, _, frames = film()
-    still = BallAdapter(rig, Configuration(), None, lambda _: None)
+    still = BallAdapter((rig,), Configuration(), None, lambda _: None)
     for k in range(45):
         still.follow(replace(frames[0], stamp=k / 30.0, sequence=k))
     assert re.fullmatch(r"the ball is not followed for \d s: nothing has turned .*; turn it .*", still.reason)

@@ -550,7 +550,7 @@ def test_a_rig_file_that_was_mended_counts(tmp_path):
 @pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
 def test_a_snapshot_shows_what_the_tracker_sees_and_nobody_else(tmp_path, grey):
     rig, pose, frames = film()
-    adapter = BallAdapter(replace(rig, pose=pose), Configuration(), None, print)
+    adapter = BallAdapter((replace(rig, pose=pose),), Configuration(), None, print)
     made = list(results(as_live(frames[:30], lambda i: not grey), adapter))[-1]
     before = made.frame.image.copy()
     path = snapshot(tmp_path / "a.png", adapter.picture(made, (1, 2, 3), False))
