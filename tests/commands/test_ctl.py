@@ -92,10 +92,10 @@ def test_the_status_is_a_short_table(ctl, daemon):
         "59.9/s, 252630 in all, 12 skipped, 3 dropped, 1 damaged",
         "median 2.9 ms, 99 % 6.4 ms, longest 11.2 ms",
         "17 used, 19 seen, 26 known",
-        "70 min old, within 3.3 mm (1 sigma)",
+        "3 h old, within 3.3 mm (1 sigma)",
         "uinput:third=wheel, 810344 reports, not sent: +0 -12 +0 counts",
         "/dev/video0: MJPG 640x480, 60 frames/s",
-        "1.4 s of 71 min, lost 2 times",
+        "1.4 s of 3 h, lost 2 times",
     ):
         assert words in out
     assert len(out.splitlines()) <= 14
