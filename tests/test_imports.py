@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 import spheremouse
+from spheremouse.errors import SpheremouseError
+from spheremouse.native import kernels
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 
@@ -23,6 +25,12 @@ MODULES = [
 @pytest.mark.parametrize("name", MODULES)
 def test_it_can_be_imported(name):
     importlib.import_module(name)
+
+
+def test_kernels_older_than_their_callers_are_one_line_with_the_remedy():
+    assert not hasattr(kernels, "added_later")
+    with pytest.raises(SpheremouseError, match=r"in C\+\+ has no added_later: .*; run make native"):
+        _ = kernels.added_later
 
 
 def test_a_ball_is_tracked_without_scipy():
