@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.validate import Part, nearest, validated
+from spheremouse.files.validate import CONFIG_SHOW, Part, nearest, validated
 from spheremouse.files.yaml import (
     SCHEMAS,
     Document,
@@ -135,7 +135,7 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
         inside = [n for n in names if n.startswith(key + ".")]
         if inside:
             raise ConfigurationError(f"{label}{key}: a section; set one of {', '.join(inside)}")
-        raise ConfigurationError(f"{label}{key}: unknown key; {nearest(key, names)}")
+        raise ConfigurationError(f"{label}{key}: unknown key; {nearest(key, names, CONFIG_SHOW)}")
     data: Any = value
     for part in reversed(parts):
         data = {part: data}

@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config, safe_files
 from spheremouse.files.edit import put
-from spheremouse.files.validate import nearest
+from spheremouse.files.validate import CONFIG_SHOW, nearest
 from spheremouse.files.yaml import SCHEMAS, Document, parse_value, read_document
 
 Settings = Iterable[Mapping[str, Any]]  # with `key`, `value` and `default`, as the daemon describes its settings
@@ -32,7 +32,7 @@ def defaults(settings: Settings, keys: Iterable[str]) -> dict[str, Any]:
     known = {about["key"]: about["default"] for about in settings}
     unknown = [key for key in keys if key not in known]
     if unknown:
-        raise ConfigurationError(f"{unknown[0]}: unknown setting", nearest(unknown[0], list(known)))
+        raise ConfigurationError(f"{unknown[0]}: unknown setting", nearest(unknown[0], list(known), CONFIG_SHOW))
     return {key: known[key] for key in keys}
 
 

@@ -79,7 +79,8 @@ def read_fictrac(path: Path) -> FicTracConfig:
         if not colon:
             raise ConfigurationError(f"{path}:{number}: is no `key : value`", "delete it, or begin it with #")
         if key not in KEYS:
-            config.refuse(key, "unknown key", f"{nearest(key, list(KEYS))} Else begin the line with #")
+            advice = nearest(key, list(KEYS), otherwise="is this FicTrac's config.txt?")
+            config.refuse(key, "unknown key", f"{advice} Correct the key, or begin the line with #")
         config.values[key] = _value(config, key, value, KEYS[key][0])
     return config
 

@@ -17,6 +17,9 @@ from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted,
 
 M = TypeVar("M", bound=BaseModel)
 
+CONFIG_SHOW = "`spheremouse config show` lists those that are known"  # advice on an unknown setting
+_MAX_LISTED_KEYS = 12  # of a section, in a message
+
 
 class Part(BaseModel):
     """Base of models of a file's sections. Only whole numbers convert, to float. Unknown keys and NaN are errors."""
@@ -54,16 +57,14 @@ def validated(document: Document, model: type[M]) -> M:
         raise document.error(problems, more) from None
 
 
-def nearest(word: str, names: Sequence[str]) -> str:
-    """Return advice on an unknown name: up to three nearest `names`, else all, or the command that lists them."""
+def nearest(word: str, names: Sequence[str], otherwise: str = "") -> str:
+    """Return advice on an unknown name: up to three nearest `names`, else the advice `otherwise`, or all names."""
     close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
     if not close:  # perhaps the section is wrong
         close = [n for n in names if n.rpartition(".")[2] == word.rpartition(".")[2]][:3]
     if close:
         return f"did you mean {' or '.join(close)}?"
-    if len(names) > 12:
-        return "`spheremouse config show` lists those that are known"
-    return f"known here: {', '.join(names)}" if names else "no keys are known here"
+    return otherwise or (f"known here: {', '.join(names)}" if names else "no keys are known here")
 
 
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
@@ -169,7 +170,7 @@ def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
     elsewhere = [k for k in everywhere if difflib.get_close_matches(word, [k.rpartition(".")[2]], cutoff=0.85)]
     if elsewhere:
         return f"did you mean {' or '.join(elsewhere[:3])}?"
-    return nearest(word, siblings)
+    return nearest(word, siblings, CONFIG_SHOW if len(siblings) > _MAX_LISTED_KEYS else "")
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:

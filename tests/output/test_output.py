@@ -233,6 +233,7 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, spec, module, pa
 
 def test_unknown_kinds_are_told_the_known_ones():
     assert refused("txt:-") == "unknown output 'txt:-'; did you mean text?"
+    assert "known here: auto, csv, " in refused("xyzzy:-")
 
 
 def test_leaving_does_not_hide_errors(tmp_path):
