@@ -4,7 +4,7 @@ import hashlib
 import os
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,6 +49,11 @@ def sha256(path: Path) -> str:
     """Return the hash of a file, for provenance; CalibrationError if it cannot be read."""
     with os_errors_as(CalibrationError, f"{path}: cannot be read"), open_to_read(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def option_words(options: Mapping[str, str | Path | None]) -> list[str | Path]:
+    """Return options of a command as words, without those that are None."""
+    return [word for name, value in options.items() if value is not None for word in (name, value)]
 
 
 def copyable(*words: str | Path) -> str:

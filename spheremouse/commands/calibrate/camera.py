@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.outputs import check_outputs, copyable, note
+from spheremouse.calibrate.outputs import check_outputs, copyable, note, option_words
 from spheremouse.commands.calibrate.options import Corners, Dictionary, Force, Marker, Report, Square
 from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import progress_bar
@@ -57,8 +57,8 @@ def camera(
     pattern = chosen_board(folder.parent, board, square, marker, dictionary)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
-    page, json_file = report or out.with_suffix(".html"), json_file or out.with_suffix(".json")
-    check_outputs([out, page, json_file], photos, force=force)
+    report_file, figures_file = report or out.with_suffix(".html"), json_file or out.with_suffix(".json")
+    check_outputs([out, report_file, figures_file], photos, force=force)
     if square is None:
         note(f"the board, from its board.yaml: {' '.join(pattern.options)}")
     found = read_photos(photos, note)
@@ -66,16 +66,17 @@ def camera(
         task = bar.add_task("", total=2 * len(found))
         done = calibrate(found, pattern, distortion, lambda what: bar.update(task, description=what, advance=1))
     made_from = provenance(done)
-    figures = camera_json(done)
-    write_camera_report(page, done, made_from)
-    save_camera(out, done.found.camera, made_from)
-    if write_json(json_file, figures):
+    write_camera_report(report_file, done, made_from)
+    printed = write_json(figures_file, camera_json(done))
+    save_camera(out, done.found.camera, made_from)  # last: it shows that all files are complete
+    if printed:
         return
     print_camera(done, table_console())
-    typer.echo(f"{out}: the camera; {page}: the report; {json_file}: its figures")
+    typer.echo(f"{out}: the camera; {report_file}: the report; {figures_file}: its figures")
     if any(kind != "good" for kind, _ in advise(done)):
-        given = [*pattern.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
-        repeat_command = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
+        terms = None if distortion == _ALL_TERMS else str(distortion)
+        words = option_words({"--distortion": terms, "--report": report, "--json": json_file, "--out": out})
+        repeat_command = copyable("spheremouse", "calibrate", "camera", *photos, *pattern.options, *words, "--force")
         typer.echo(f"with more photos, again: {repeat_command}")
     typer.echo(f"next: {_next_command(out)}")
 

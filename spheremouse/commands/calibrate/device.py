@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
+from spheremouse.calibrate.outputs import check_outputs, copyable, note, option_words, sha256
 from spheremouse.commands.calibrate.options import Force, Report
 from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import progress_bar
@@ -40,10 +40,12 @@ def device(
     report: Report = None,
     json_file: JsonFile = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Configuration: colours of targets (rings), discs.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Configuration, for the colours of the targets and the detection of discs."),
     ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as rings.* or discs.*.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One setting of rings or discs, such as discs.contrast=0.3."),
     ] = None,
     force: Force = False,
 ) -> None:
@@ -65,26 +67,27 @@ def device(
     from spheremouse.files.device import UNTOUCHED, load_device, untouched
     from spheremouse.files.rig import load_camera, save_rig
 
-    page, the_map = report or out.with_suffix(".html"), map_path(out)
-    json_file = json_file or out.with_suffix(".json")
-    check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force=force)
+    report_file, map_file = report or out.with_suffix(".html"), map_path(out)
+    figures_file = json_file or out.with_suffix(".json")
+    outputs = [out, map_file, report_file, figures_file]
+    check_outputs(outputs, [*photos, device_file, camera_file, config], force=force)
     _check_inputs(device_file, camera_file)
-    known, camera = load_device(device_file), load_camera(camera_file)
+    described, camera = load_device(device_file), load_camera(camera_file)
     if untouched(device_file):
         raise CalibrationError(
             f"{device_file}: not filled in yet; enter your targets and distances, then delete its first line "
             f"({UNTOUCHED.partition(':')[0]} ...); if it is all true of your device already, delete that line alone"
         )
-    chosen = in_force(config, settings or (), root())
-    found = read_photos(photos, note=note)
-    check_size(found, camera, camera_file)
-    calibration = _calibrated(found, known, camera, device_file, chosen)
-    names = [p.path.name for p in found]
+    settings_used = in_force(config, settings or (), root())
+    photos_read = read_photos(photos, note=note)
+    check_size(photos_read, camera, camera_file)
+    calibration = _calibrated(photos_read, described, camera, device_file, settings_used)
+    names = [p.path.name for p in photos_read]
     advice = advise(calibration, names)
     if calibration.rms_px > DOUBTFUL_RMS:
         note(
-            f"the photos are {calibration.rms_px:.2f} px off, ten times more than sharp photos: is {camera_file} of "
-            "this camera, mode and focus?"
+            f"the photos are {calibration.rms_px:.2f} px off, at least ten times more than sharp photos: is "
+            f"{camera_file} of this camera, mode and focus?"
         )
     rig = calibration.rig()
     sources = {
@@ -92,22 +95,25 @@ def device(
         "camera": {"file": camera_file.name, "sha256": sha256(camera_file)},
         "warnings": [a.text for a in advice if a.kind == "warning"],
     }
-    made_from = provenance("calibrate device", found, dict(calibration.skipped), sources)
-    write_device_report(page, calibration, found, made_from, advice)
-    save_map(the_map, saved_now(calibration.disc_map(), rig))
+    made_from = provenance("calibrate device", photos_read, dict(calibration.skipped), sources)
+    write_device_report(report_file, calibration, photos_read, made_from, advice)
+    save_map(map_file, saved_now(calibration.disc_map(), rig))
+    printed = write_json(figures_file, device_json(calibration, names, advice))
     save_rig(out, rig, made_from)  # last: it shows that all files are complete
-    figures = device_json(calibration, names, advice)
-    if write_json(json_file, figures):
+    if printed:
         return
     print_device(calibration, advice, Console(highlight=False))
-    typer.echo(f"{out}: the rig; {the_map}: the map of its discs; {page}: the report; {json_file}: its figures")
+    typer.echo(
+        f"{out}: the rig; {map_file}: the map of its discs; {report_file}: the report; {figures_file}: its figures"
+    )
     if any(a.kind != "good" for a in advice):
-        files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
-        files += [word for one in settings or () for word in ("--set", one)]
-        repeat_command = copyable("spheremouse", "calibrate", "device", *photos, *files, "--out", out, "--force")
+        options = {"--device": device_file, "--camera": camera_file, "--config": config}
+        words = option_words({**options, "--report": report, "--json": json_file, "--out": out})
+        words += [word for one in settings or () for word in ("--set", one)]
+        repeat_command = copyable("spheremouse", "calibrate", "device", *photos, *words, "--force")
         typer.echo(f"with more photos, again: {repeat_command}")
     typer.echo(f"next: {axes_command(out)}")
-    typer.echo("      add --camera FILE if the camera runs in another mode than in the photos")
+    typer.echo("      to `spheremouse axes`, add --camera FILE if the camera runs in another mode than in the photos")
 
 
 def _check_inputs(device_file: Path, camera_file: Path) -> None:
@@ -120,7 +126,11 @@ def _check_inputs(device_file: Path, camera_file: Path) -> None:
 
 
 def _calibrated(
-    photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
+    photos: "Sequence[Photo]",
+    described: "Device",
+    camera: "InteriorOrientation",
+    device_file: Path,
+    settings: "Settings",
 ) -> "DeviceCalibration":
     """Run the calibration with a progress bar; an error of a distance names the line of the device file."""
     from spheremouse.ball.device import DistanceError
@@ -133,7 +143,7 @@ def _calibrated(
         try:
             return calibrate_device(
                 [lambda photo=photo: image(photo) for photo in photos],
-                known,
+                described,
                 camera,
                 settings.rings,
                 settings.discs,

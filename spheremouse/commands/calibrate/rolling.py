@@ -120,9 +120,10 @@ def rolling(
         )
     made = build_rig(solution, axes, lengths.radius, 0.0 if known is None else known.exposure_s)
     figures = rolling_json(solution, made.axes, made.source, made.rig)
+    printed = json_file is not None and write_json(json_file, figures)
     if out is not None:
         _save(out, source, solution, made, {"camera": camera, "device": device})
-    _print(source, solution, figures, out, err=json_file is not None and write_json(json_file, figures))
+    _print(source, solution, figures, out, err=printed)
 
 
 def _gestures(forward: str | None, right: str | None) -> tuple[tuple[float, float], tuple[float, float]] | None:
@@ -201,8 +202,8 @@ def _save(
         "axes": made.source,
         **{part: {"file": path.name, "sha256": sha256(path)} for part, path in files.items() if path is not None},
     }
-    save_rig(out, made.rig, provenance)
     save_map(map_path(out), saved)
+    save_rig(out, made.rig, provenance)  # last: it shows that all files are complete
 
 
 def _print(source: str, solution: "Solution", figures: dict[str, Any], out: Path | None, err: bool) -> None:

@@ -124,11 +124,13 @@ def test_without_photos_it_asks_for_them_first():
 def test_what_comes_next_is_there(made, folder):
     """Not a file that nobody has made; and more photos need --force."""
     path, _ = made
-    said = run(folder, *BOARD, "--out", path / "camera.yaml", "--force").output.splitlines()
+    said = run(
+        folder, *BOARD, "--report", path / "r.html", "--out", path / "camera.yaml", "--force"
+    ).output.splitlines()
     assert f"next: spheremouse calibrate init {path}" in said
     words = shlex.split(next(line for line in said if line.startswith("with more photos")).partition(": ")[2])
-    again = ["camera", str(folder), *BOARD, "--out", str(path / "camera.yaml"), "--force"]
-    assert words == ["spheremouse", "calibrate", *again]
+    again = ["camera", str(folder), *BOARD, "--report", str(path / "r.html"), "--out", str(path / "camera.yaml")]
+    assert words == ["spheremouse", "calibrate", *again, "--force"]
 
 
 def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):

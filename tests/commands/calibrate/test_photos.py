@@ -176,8 +176,13 @@ def test_a_device_file_nobody_filled_in_is_refused(cabinet):
 
 def test_what_comes_next_saves_what_is_answered(cabinet):
     stills = datasets_dir() / "stills"
-    result = run_device(stills / "device", *options(cabinet, stills / "device.yaml"))
+    given = ["--report", str(cabinet / "r.html"), "--json", str(cabinet / "f.json")]
+    result = run_device(stills / "device", *options(cabinet, stills / "device.yaml"), *given)
     assert result.exit_code == 0, result.output
+    again = next(line for line in result.output.splitlines() if line.startswith("with more photos"))
+    assert " ".join(given) in again
+    written = {path.name: path.stat().st_mtime_ns for path in cabinet.iterdir() if path.name != "camera.yaml"}
+    assert max(written.values()) == written["rig.yaml"]  # it shows that all files are complete
     follows = next(line for line in result.output.splitlines() if line.startswith("next: "))
     config, rig = cabinet / "config.yaml", cabinet / "rig.yaml"
     assert follows.startswith(f"next: spheremouse axes --config {config} --rig {rig} --source ")
