@@ -16,8 +16,9 @@ from pydantic import Field
 from spheremouse.files.config import model_of
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import Part, Provenance, read_checked
-from spheremouse.files.yaml import SCHEMAS, Document, Problem
-from spheremouse.geometry.rotation import Array, align, log
+from spheremouse.files.yaml import SCHEMAS, Problem
+from spheremouse.geometry.rotation import Array, align
+from spheremouse.geometry.rotation import log as rotation_vector
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.settings import ColourSettings
@@ -68,7 +69,7 @@ def load_wand(path: Path) -> WandFile:
     if problems := [*_disc_problems(file), *_colour_problems(file, colours)]:
         raise document.error(problems)
     ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
-    if problems := [*_overlaps(ball), *_symmetries(ball, document)]:
+    if problems := [*_overlaps(ball), *_symmetry_problem(ball)]:
         raise document.error(problems)
     return WandFile(ball, {name: (DEFAULT_COLOURS | colours)[name] for name in ball.colours})
 
@@ -164,12 +165,12 @@ def _overlaps(ball: WandBall) -> Iterator[Problem]:
                 yield Problem(("discs", i), text)
 
 
-def _symmetries(ball: WandBall, document: Document) -> Iterator[Problem]:
-    """Yield a problem if a ball looks the same in two attitudes."""
+def _symmetry_problem(ball: WandBall) -> Iterator[Problem]:
+    """Yield a problem if a ball looks the same, within 6 degrees, after a turn of at least 15."""
     turn = symmetry(ball)
     if turn is None:
         return
-    vector = log(turn)
+    vector = rotation_vector(turn)
     x, y, z = vector / np.linalg.norm(vector)
     text = f"the ball looks the same turned by {np.degrees(np.linalg.norm(vector)):.0f} degrees about"
     yield Problem(("discs",), f"{text} ({x:.2f}, {y:.2f}, {z:.2f}); change the colour, size or place of a disc")
@@ -191,7 +192,7 @@ def symmetry(ball: WandBall) -> Array | None:
             ):
                 continue
             turn = align(directions[[first, second]], np.array([a, b]))
-            if np.linalg.norm(log(turn)) < _MIN_TURN_RAD:
+            if np.linalg.norm(rotation_vector(turn)) < _MIN_TURN_RAD:
                 continue
             angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
             nearest = np.argmin(angles, axis=1)

@@ -103,7 +103,7 @@ def read_raw(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def parse_bytes(raw: bytes, name: str) -> Document:
-    """Return the document in the bytes of a file; messages call it `name`.
+    """Return the document in the bytes of a file. `name` stands for the file in messages.
 
     Raises ConfigurationError if the file is too large, not UTF-8, or not valid YAML.
     """
@@ -112,13 +112,14 @@ def parse_bytes(raw: bytes, name: str) -> Document:
     try:
         text = raw.removeprefix(BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as e:
-        line = raw.count(b"\n", 0, e.start) + 1
-        raise ConfigurationError(f"{name}:{line}: not UTF-8 text; name a YAML file, saved as UTF-8") from None
+        line = e.object.count(b"\n", 0, e.start) + 1
+        problem = "is not UTF-8 text; save it as UTF-8, or check that it is the YAML file"
+        raise ConfigurationError(f"{name}:{line}: {problem}") from None
     return parse_document(text, name)
 
 
 def parse_document(text: str, name: str) -> Document:
-    """Return the document in a text; messages call it `name`. Raises ConfigurationError if it is empty or invalid."""
+    """Return the document in a text, `name` in messages. Raises ConfigurationError if it is empty or invalid."""
     try:
         root = _compose(text, name)
     except YAMLError as e:

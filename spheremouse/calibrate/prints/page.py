@@ -70,7 +70,7 @@ def paper(name: str, *, wide: bool = False) -> Paper:
 
 
 def pdf(pages: Sequence[Page], title: str) -> bytes:
-    """Return the pages as a PDF file; the same pages give the same bytes on any date and machine."""
+    """Return the pages as a PDF file; the same pages give the same bytes on any date, with the same matplotlib."""
     file = BytesIO()
     about = {"Title": title, "Creator": "spheremouse", "Producer": None, "CreationDate": None}
     with styled(_PDF_STYLE):

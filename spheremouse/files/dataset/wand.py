@@ -95,17 +95,20 @@ def is_wand(path: Path | str) -> bool:
 
 
 def open_wand(path: Path | str) -> WandRecording:
-    """Read and check the description of a wand dataset; DatasetError names the invalid file."""
+    """Read and check scene.json, truth.csv and stamps.csv of a wand dataset; no image.
+
+    Raises DatasetError, which names the invalid file.
+    """
     path = Path(path)
     scene = read_description(path, _read_scene)
-    wands = (scene.wand,) if scene.wands is None else scene.wands
+    wands = {"wand": scene.wand} if scene.wands is None else {f"wands.{k}": w for k, w in enumerate(scene.wands)}
     truth = path / "truth.csv"
     truths = _read_truths(truth, scene.frames, len(wands)) if truth.exists() else ()
     return WandRecording(
         path=path,
         name=scene.name or path.name,
         camera=scene.interior_orientation(scene.camera),
-        balls=tuple(_ball(path / "scene.json", wand) for wand in wands),
+        balls=tuple(_ball(f"{path / 'scene.json'}: {key}", wand) for key, wand in wands.items()),
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
@@ -121,14 +124,16 @@ def _read_scene(document: Document) -> _Scene:
     scene = described(document, _Scene)
     if scene.wands == ():
         raise DatasetError(f"{document.name}wands: is empty; leave it out where there is one ball")
+    if scene.wands is not None and scene.wand != scene.wands[0]:
+        raise DatasetError(f"{document.name}wand: differs from the first of `wands`; correct one of the two")
     return scene
 
 
-def _ball(path: Path, wand: _Wand) -> WandBall:
+def _ball(place: str, wand: _Wand) -> WandBall:
     discs: list[WandDisc] = []
     for i, disc in enumerate(wand.discs):
         if disc.diameter >= 2.0 * wand.radius or (disc.points or 0.0) >= 2.0 * wand.radius:
-            raise DatasetError(f"{path}: wand.discs.{i}: larger than the ball of radius {wand.radius:g} m")
+            raise DatasetError(f"{place}.discs.{i}: larger than the ball of radius {wand.radius:g} m")
         angle = float(np.arcsin(0.5 * disc.diameter / wand.radius))
         # along the surface: the thesis' points lie on it, 0.5 and 1.2 cm from the centre
         points = None if disc.points is None else disc.points / wand.radius
