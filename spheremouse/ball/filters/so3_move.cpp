@@ -41,7 +41,8 @@ bool is_negligible(const Body& body, const Dense& P, const Each& dx) {
 /// Return the matrix, (n, n), from the errors of a state to those of the state moved by `dx`.
 ///
 /// A regression on the errors of the discs determines the shared error. The move consists of such a turn, after which
-/// each of these discs has the same place in obj, and of a turn of the whole ball, with which the shared error turns.
+/// each of these discs has the same place in obj, and of a turn of the whole ball. The shared error turns with both. So
+/// it keeps its components in the axes of the ball, in which a turn that no image shows is the same for all states.
 Dense transfer(const Body& body, const Dense& P, const Each& dx) {
     const int m = body.size(), map = body.map_row();
     const Dense with = P.block(0, map, 3, 2 * m);
@@ -49,17 +50,17 @@ Dense transfer(const Body& body, const Dense& P, const Each& dx) {
     if (m > 0) G = Dense(P.block(map, map, 2 * m, 2 * m)).ldlt().solve(with.transpose()).transpose();
     const Vector<3> shared = G * dx.segment(map, 2 * m);
     const Vector<3> of_ball = log(exp(dx.head<3>()) * exp(-shared));
-    const Matrix<3> J = left_jacobian(shared), K = left_jacobian(of_ball), turned = exp(shared) * body.attitude,
+    const Matrix<3> J = left_jacobian(shared), K = left_jacobian(of_ball), S = exp(shared), turned = S * body.attitude,
                     variance = with * G.transpose();
     Dense T = Dense::Identity(dx.size(), dx.size());
     T.topLeftCorner<3, 3>() = K * J;
-    T.block(0, map, 3, 2 * m) = (exp(of_ball) - K) * J * G;
+    T.block(0, map, 3, 2 * m) = (exp(of_ball) * S - K * J) * G;
     for (int k = 0; k < m; k++) {
         const Disc before = disc(body, k), after = before.moved(dx.segment<2>(map + 2 * k));
         const Matrix<2, 3> A = before.by_turn(body.attitude);
         const double own = -(A * with.middleCols<2>(2 * k)).trace(), whole = (A * variance * A.transpose()).trace();
         if (!(own > 0.0 && whole > 0.0)) continue;
-        T.block(map + 2 * k, map, 2, 2 * m) += std::min(own / whole, 1.0) * (A - after.by_turn(turned) * J) * G;
+        T.block(map + 2 * k, map, 2, 2 * m) += std::min(own / whole, 1.0) * (A - after.by_turn(turned) * S) * G;
     }
     return T;
 }

@@ -70,11 +70,12 @@ def transfer(body, P, dx):
     G = P[:3, at] @ np.linalg.inv(P[at, at])
     shared = G @ dx[at]
     J, of_ball = left_jacobian(shared), log(exp(dx[:3]) @ exp(shared).T)
-    turned = exp(shared) @ attitude
+    S, K = exp(shared), left_jacobian(of_ball)
+    turned = S @ attitude
     to = discs + np.einsum("kia,ka->ki", basis, dx[at].reshape(m, 2))
     to /= np.linalg.norm(to, axis=1, keepdims=True)
     T = np.eye(len(P))
-    T[:3, :3], T[:3, at] = left_jacobian(of_ball) @ J, (exp(of_ball) - left_jacobian(of_ball)) @ J @ G
+    T[:3, :3], T[:3, at] = K @ J, (exp(of_ball) @ S - K @ J) @ G
     for k in range(m):
         two = slice(MAP_OFFSET + 2 * k, MAP_OFFSET + 2 * k + 2)
         first = basis[k][:, 0] - to[k] @ basis[k][:, 0] * to[k]
@@ -84,7 +85,7 @@ def transfer(body, P, dx):
         axes = np.stack([first, second], axis=1)
         A, B = -(attitude @ basis[k]).T @ hat(attitude @ discs[k]), -(turned @ axes).T @ hat(turned @ to[k])
         share = -np.trace(P[two, :3] @ A.T) / np.trace(A @ G @ P[at, at] @ G.T @ A.T)
-        T[two, at] += np.clip(share, 0.0, 1.0) * (A - B @ J) @ G
+        T[two, at] += np.clip(share, 0.0, 1.0) * (A - B @ S) @ G
     return T
 
 
