@@ -52,7 +52,7 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
     if not paths:
         raise CalibrationError("no photos; name photos or a folder with photos")
     photos, problems = [], []
-    for path in _expanded(paths):
+    for path in _with_folders_expanded(paths):
         try:
             photos.append(_read(path))
         except CalibrationError as e:
@@ -120,7 +120,8 @@ def provenance(
 # ---- which files ----
 
 
-def _expanded(paths: Iterable[Path]) -> list[Path]:
+def _with_folders_expanded(paths: Iterable[Path]) -> list[Path]:
+    """Return the files, with the photos of each folder in its place."""
     found: list[Path] = []
     for path in paths:
         if path.is_dir():

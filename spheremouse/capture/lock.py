@@ -32,6 +32,7 @@ def locked(node: Path) -> Iterator[None]:
 
 
 def _lock(held: int, node: Path) -> None:
+    """Lock the open file `held` of a device `node`. Raises SourceError if another process has it."""
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

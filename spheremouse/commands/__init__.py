@@ -60,7 +60,7 @@ class _Commands(UserDict[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if isinstance(self.data[name], tuple):
-            self.data[name] = _command(name, *self.data[name])
+            self.data[name] = _load_command(name, *self.data[name])
         return self.data[name]
 
 
@@ -70,9 +70,10 @@ class _Group(TyperGroup):
         self.commands = _Commands(_COMMANDS)
 
 
-def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
+def _load_command(name: str, module: str, attribute: str, epilog: str) -> Any:
+    """Import a command `attribute` of a module, or a group of commands, and return it under `name`."""
     found = getattr(import_module(f"spheremouse.commands.{module}"), attribute)
-    one = _typer()
+    one = _new_typer()
     if isinstance(found, typer.Typer):
         one.add_typer(found, name=name, epilog=epilog)
         return typer.main.get_group(one).commands[name]
@@ -80,7 +81,8 @@ def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
     return typer.main.get_command(one)
 
 
-def _typer(completion: bool = False, **options: Any) -> typer.Typer:
+def _new_typer(completion: bool = False, **options: Any) -> typer.Typer:
+    """Return an empty group of commands with our options of Typer."""
     return typer.Typer(
         no_args_is_help=True,
         add_completion=completion,
@@ -91,7 +93,7 @@ def _typer(completion: bool = False, **options: Any) -> typer.Typer:
     )
 
 
-app = _typer(completion=True, cls=_Group)
+app = _new_typer(completion=True, cls=_Group)
 
 _debug = False
 

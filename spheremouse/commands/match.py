@@ -54,7 +54,7 @@ def match(
     found, device = _matched(recording, plan, log)
     verdict, before = judge(found), plan.configuration.motion
     settings = settings_of(found, device.radius_m, before) if verdict.usable else None
-    _print(found, verdict)
+    _print_match(found, verdict)
     if settings is None:
         raise typer.Exit(_NO_MATCH)
     if out is not None:
@@ -160,7 +160,8 @@ def _file(settings: "MotionSettings", source: str, verdict: str) -> str:
     return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", _section(settings)])
 
 
-def _print(found: "Match", verdict: "Verdict") -> None:
+def _print_match(found: "Match", verdict: "Verdict") -> None:
+    """Print the regression as a table, then lag, motion and verdict."""
     from rich.table import Column, Table
 
     from spheremouse.commands.terminal import table_console

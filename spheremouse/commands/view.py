@@ -62,6 +62,7 @@ def view(
 
 
 def _serve(app: "Starlette", address: str, port: int, token: str) -> None:
+    """Listen, print the address of the owner, and serve until the process ends."""
     import socket as sockets
 
     from spheremouse.view.server import server

@@ -72,6 +72,7 @@ def plot_run(
 
 
 def _save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of its ending, PNG by default. A failure leaves no half file."""
     path = path if path.suffix else path.with_name(f"{path.name}.png")  # as matplotlib does
     drawn = BytesIO()
     try:

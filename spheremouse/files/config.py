@@ -348,11 +348,11 @@ def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iter
             yield ""
         first = False
         if section:
-            yield from _comment(_summary(type(value)), indent)
+            yield from _comment_lines(_summary(type(value)), indent)
             yield f"{indent}{field.name}:"
             yield from _commented(value, (*prefix, field.name), keys)
             continue
-        yield from _comment(_about(field, hints[field.name]), indent)
+        yield from _comment_lines(_about(field, hints[field.name]), indent)
         yield f"{indent}{_assignment(field, value)}"
 
 
@@ -387,7 +387,8 @@ def _summary(cls: type) -> str:
     return " ".join(text.split())
 
 
-def _comment(text: str, indent: str) -> list[str]:
+def _comment_lines(text: str, indent: str) -> list[str]:
+    """Return a text as lines of a YAML comment."""
     mark = f"{indent}# "
     wrap = textwrap.TextWrapper(
         _MAX_LINE_CHARACTERS,

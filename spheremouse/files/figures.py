@@ -30,11 +30,12 @@ def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
         files = {path.resolve() for folder in folders if folder.is_dir() for path in folder.iterdir()}
     except OSError as e:
         raise ConfigurationError(f"{e.filename}: cannot be read ({e.strerror})") from None
-    found = [_read(path) for path in sorted(f for f in files if f.suffix == ".json")[:_MAX_FILES]]
+    found = [_read_report(path) for path in sorted(f for f in files if f.suffix == ".json")[:_MAX_FILES]]
     return [each for each in found if "problem" not in each or os.path.exists(Path(each["file"]).with_suffix(".yaml"))]
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read_report(path: Path) -> dict[str, Any]:
+    """Return the figures of one report for the page, or the problem that it has."""
     try:
         data = plain_json.loads(read_bytes(path, _MAX_BYTES, "report"))
         written = time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
@@ -74,7 +75,8 @@ def photo_rows(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
         }
 
 
-def _camera(data: dict[str, Any]) -> Iterator[Row]:
+def _camera_rows(data: dict[str, Any]) -> Iterator[Row]:
+    """Yield name, value and standard deviation of a camera calibration."""
     camera = data["camera"]
     yield "picture", f"{int(camera['width'])}x{int(camera['height'])} px", ""
     values = [*(camera[name] for name in _LENS[:_PIXEL_PARAMETERS]), *camera["dist"]]
@@ -87,7 +89,8 @@ def _camera(data: dict[str, Any]) -> Iterator[Row]:
     yield "corners, RMS", f"{data['rms_px']:.3f} px", ""
 
 
-def _device(data: dict[str, Any]) -> Iterator[Row]:
+def _device_rows(data: dict[str, Any]) -> Iterator[Row]:
+    """Yield name, value and standard deviation of a device calibration."""
     unit, size = ("radii", 1.0) if data["scale_free"] else ("mm", 1e3)
     ball = data["ball"]
     for axis, value in zip("XYZ", ball["center"], strict=True):
@@ -102,7 +105,8 @@ def _device(data: dict[str, Any]) -> Iterator[Row]:
     yield "points, RMS", f"{data['rms_px']:.3f} px", ""
 
 
-def _rolling(data: dict[str, Any]) -> Iterator[Row]:
+def _rolling_rows(data: dict[str, Any]) -> Iterator[Row]:
+    """Yield name, value and standard deviation of a calibration by rolling."""
     size, unit = (1.0, "R") if data["scale"] == "free" else (1e3, "mm")
     digits = 2 if unit == "mm" and data["ball"]["radius"] >= 0.1 else 4
     yield "distance over radius", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"
@@ -124,7 +128,7 @@ def _rolling(data: dict[str, Any]) -> Iterator[Row]:
 
 # kind, a key that only its figures have, and their rows
 _KINDS: tuple[tuple[str, str, Callable[[dict[str, Any]], Iterator[Row]]], ...] = (
-    ("camera", "board_views", _camera),
-    ("device", "ring_scale", _device),
-    ("rolling", "center_direction", _rolling),
+    ("camera", "board_views", _camera_rows),
+    ("device", "ring_scale", _device_rows),
+    ("rolling", "center_direction", _rolling_rows),
 )

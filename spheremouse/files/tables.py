@@ -58,6 +58,7 @@ def read_columns(
 
 
 def _number(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:
+    """Return a cell as a number. Raises DatasetError unless it is finite, or empty where it may be; that is nan."""
     try:
         value = float(text)
     except ValueError:

@@ -77,18 +77,19 @@ def _problems(error: ValidationError, document: Document, model: type[BaseModel]
         key = _within(e["loc"], document.data, missing=e["type"] in ("missing", "extra_forbidden"))
         found.setdefault(key, []).append(e)
     first = sorted(found, key=document.line)[:MAX_PROBLEMS]
-    return [Problem(key, _worded(key, found[key], document.data, model)) for key in first], len(found) - len(first)
+    return [Problem(key, _message(key, found[key], document.data, model)) for key in first], len(found) - len(first)
 
 
-def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseModel]) -> str:
+def _message(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseModel]) -> str:
+    """Return the message for the complaints of pydantic about one key."""
     first = complaints[0]
     if len(complaints) > 1:
-        return _with_advice(", or ".join(map(_complaint, complaints)), key, data, model)
+        return _with_advice(", or ".join(map(_complaint_text, complaints)), key, data, model)
     if first["type"] == "extra_forbidden":
         return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
     if first["type"] == "missing":
         return _with_advice("missing", key, data=None, model=model, value=False)
-    return _with_advice(_complaint(first), key, data, model)
+    return _with_advice(_complaint_text(first), key, data, model)
 
 
 def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
@@ -132,7 +133,8 @@ _BOUNDS = {
 }
 
 
-def _complaint(e: Any) -> str:
+def _complaint_text(e: Any) -> str:
+    """Return one complaint of pydantic in our words."""
     if e["type"] in _WORDS:
         return _WORDS[e["type"]]
     if e["type"] in _BOUNDS:
@@ -190,6 +192,7 @@ def _element(annotation: Any) -> Any:
 
 
 def _walk(key: Key, model: type[BaseModel]) -> Iterator[tuple[FieldInfo | None, Any]]:
+    """Yield field and type of each part of a key, from the model down; None where the model has none."""
     annotation: Any = model
     for part in key:
         info = None

@@ -68,7 +68,7 @@ def load_wand(path: Path) -> WandFile:
     colours = {name: ColourSettings(**given.model_dump(exclude_unset=True)) for name, given in file.colours.items()}
     if problems := [*_disc_problems(file), *_colour_problems(file, colours)]:
         raise document.error(problems)
-    ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
+    ball = WandBall(file.name, file.radius, tuple(_wand_disc(d, file.radius) for d in file.discs), file.body)
     if problems := [*_overlaps(ball), *_symmetry_problem(ball)]:
         raise document.error(problems)
     return WandFile(ball, {name: (DEFAULT_COLOURS | colours)[name] for name in ball.colours})
@@ -116,7 +116,8 @@ def _short(x: float) -> str:
     return f"{round(float(x), 9):.9g}"
 
 
-def _disc(disc: _Disc, radius: float) -> WandDisc:
+def _wand_disc(disc: _Disc, radius: float) -> WandDisc:
+    """Return a disc of the file, whose angles are degrees and lengths m, on a ball of `radius` m."""
     return wand_disc(
         float(np.radians(disc.azimuth)),
         float(np.radians(disc.latitude)),
@@ -156,6 +157,7 @@ def _colour_problems(file: WandModel, colours: Mapping[str, ColourSettings]) -> 
 
 
 def _overlaps(ball: WandBall) -> Iterator[Problem]:
+    """Yield a problem for each pair of discs that overlap."""
     for i, disc in enumerate(ball.discs):
         for k, other in enumerate(ball.discs[:i]):
             angle = float(np.arccos(np.clip(disc.direction @ other.direction, -1.0, 1.0)))

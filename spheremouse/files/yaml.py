@@ -174,6 +174,7 @@ def refuse_control_characters(document: Document) -> None:
 
 
 def _texts(data: Any, key: Key) -> Iterator[tuple[Key, str]]:
+    """Yield all texts of the data with their keys, names of keys included."""
     if isinstance(data, str):
         yield key, data
     elif isinstance(data, dict):
@@ -242,6 +243,7 @@ def _syntax_error(e: YAMLError, text: str, name: str) -> ConfigurationError:
 
 
 def _plain(node: Node, key: Key, lines: dict[Key, int], problems: list[Problem]) -> Any:
+    """Return a node as plain data. Add the line of each key to `lines`, and faults to `problems`."""
     if isinstance(node, ScalarNode):
         return _scalar(node, key, problems)
     if not isinstance(node, MappingNode):
@@ -268,6 +270,7 @@ def _plain(node: Node, key: Key, lines: dict[Key, int], problems: list[Problem])
 
 
 def _scalar(node: ScalarNode, key: Key, problems: list[Problem]) -> Any:
+    """Return the value of a scalar node. Add a number that cannot be read to `problems`."""
     text: str = node.value
     kind = _TAGS.get(str(node.tag), "str")
     number = text.replace("_", "").lower()

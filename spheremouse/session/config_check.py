@@ -66,25 +66,26 @@ def validate(file: Path, c: Configuration) -> Found:
 
 def _files(file: Path, c: Configuration, found: Found) -> None:
     """Check rig, camera, map, balls and recordings."""
-    rigs = [_read(("rig",), beside(file, name), load_rig, found) for name in c.rigs]
+    rigs = [_read_if_valid(("rig",), beside(file, name), load_rig, found) for name in c.rigs]
     rig = rigs[0] if rigs else None
-    camera, size = _read(("camera_file",), beside(file, c.camera_file), load_camera, found), c.camera.size
+    camera, size = _read_if_valid(("camera_file",), beside(file, c.camera_file), load_camera, found), c.camera.size
     for known in [each.camera for each in rigs if each is not None] if camera is None else [camera]:
         if size is not None and size != (known.width, known.height):
             problem = f"{size[0]}x{size[1]}: the camera was calibrated at {known.width}x{known.height}; set that size"
             found.wrong.append(Problem(("camera", "size"), problem))
     if (path := beside(file, c.map)) is not None and _folder_there(("map",), path, found) and path.exists():
-        saved = _read(("map",), path, load_map, found)
+        saved = _read_if_valid(("map",), path, load_map, found)
         if saved is not None and rig is not None:
-            _read(("map",), path, lambda p: check_fits(saved, rig, p, map_kind(rig, c)), found)
+            _read_if_valid(("map",), path, lambda p: check_fits(saved, rig, p, map_kind(rig, c)), found)
     for k, name in enumerate(c.wand.balls):
-        _read(("wand", "balls", k), beside(file, name), load_wand, found)
+        _read_if_valid(("wand", "balls", k), beside(file, name), load_wand, found)
     folder = beside(file, c.record.folder)
     if folder is not None and folder.exists() and not folder.is_dir():
         found.wrong.append(Problem(("record", "folder"), f"{folder}: is no folder; name another"))
 
 
-def _read(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) -> T | None:
+def _read_if_valid(key: Key, path: Path | None, read: Callable[[Path], T], found: Found) -> T | None:
+    """Return what `read` reads from a path; None without a path, or if it is refused."""
     if path is None:
         return None
     try:

@@ -317,6 +317,7 @@ def _closed_line(points: Array, colour: str, stamp: Any) -> Any:
 
 
 def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
+    """Return a text annotation with the code of a mark."""
     m = _messages()
     return m.TextAnnotation(
         timestamp=stamp,

@@ -89,15 +89,16 @@ _REFUSALS = {  # reason, short enough for a picture, and remedy
 
 def line(happened: Iterable[Event], words: Words) -> str:
     """Return the log line of a frame's events, each with its new state; empty if there are none."""
-    return "; ".join(f"{_state(e)}{sentence(e, words)}" for e in happened)
+    return "; ".join(f"{_state_prefix(e)}{sentence(e, words)}" for e in happened)
 
 
 def reason(happened: Iterable[Event], words: Words) -> str:
     """Return the sentences of events for a line that has the state beside it."""
-    return "; ".join(f"{_state(e) if k else ''}{sentence(e, words)}" for k, e in enumerate(happened))
+    return "; ".join(f"{_state_prefix(e) if k else ''}{sentence(e, words)}" for k, e in enumerate(happened))
 
 
-def _state(event: Event) -> str:
+def _state_prefix(event: Event) -> str:
+    """Return the state that an event begins, as the log writes it; empty if it begins none."""
     match event:
         case BallLost():
             return "lost: "

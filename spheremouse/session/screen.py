@@ -110,10 +110,11 @@ def _renewed_line() -> "Live":
 def status_lines(made: FrameResult, tally: Tally) -> str:
     """Return the state of each ball in one line."""
     counts, median = "counts {:+d} {:+d} {:+d}".format(*tally.counts), 1e3 * tally.times.recent_quantile(0.5)
-    return "\n".join(f"{s.stamp:9.3f} s  {_state(s, counts)}  {median:.1f} ms" for s in made.samples)
+    return "\n".join(f"{s.stamp:9.3f} s  {_state_words(s, counts)}  {median:.1f} ms" for s in made.samples)
 
 
-def _state(sample: Sample, counts: str) -> str:
+def _state_words(sample: Sample, counts: str) -> str:
+    """Return state, motion and counts of a sample as one line."""
     if sample.coordinates == "obj":
         rate, n = "rate {:+.1f} {:+.1f} {:+.1f} deg/s".format(*np.degrees(sample.rate)), sample.statistics
         points = f"points {n['discs_used']:.0f} used, {n['discs_seen']:.0f} seen, {n['discs_known']:.0f} known"

@@ -390,6 +390,7 @@ class Daemon:
             pending.answer({"state": str(self._monitor.state)})
 
     def _record(self, request: Record, pending: PendingRequest) -> None:
+        """Begin or end a recording. Raises ControlError before the pose is known."""
         subject = self.adapter.subject
         if request.stop:
             self._archive.stop(pending)

@@ -71,6 +71,7 @@ def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
 
 
 def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
+    """Return whether the ball is known well enough to play. `odd`: other advice reports a surprise."""
     sigma = np.sqrt(np.diag(calibration.ball_covariance))
     worst = int(np.flatnonzero(sigma > 0.9 * sigma.max())[-1])  # of nearly equal ones the last: the radius
     part = sigma[worst] / calibration.radius

@@ -160,7 +160,7 @@ def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping
     names = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong)
     content = Content(
         title="Camera calibration",
-        lead=_lead(done),
+        lead=_summary(done),
         headlines=_headlines(done),
         advice=advise(done),
         draw=lambda: _corners_figure(done),
@@ -175,7 +175,8 @@ def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping
     write_report(path, content, camera_json(done), provenance)
 
 
-def _lead(done: CameraCalibration) -> str:
+def _summary(done: CameraCalibration) -> str:
+    """Return the first paragraph: views, board, distances and picture size."""
     found, camera, pattern = done.found, done.found.camera, done.pattern
     kind = "chessboard" if pattern.marker is None else "ChArUco board"
     distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
@@ -230,6 +231,7 @@ def _magnification(done: CameraCalibration) -> float:
 
 
 def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:
+    """Return a JPEG of view k with its corners, blue if used and red if not, and its caption."""
     photo, used = done.photos[done.index[k]], done.found.used[k]
     scale = _THUMBNAIL_WIDTH / photo.size[0]
     size = _THUMBNAIL_WIDTH, max(1, round(scale * photo.size[1]))

@@ -204,6 +204,7 @@ class Device:
         return found
 
     def _sizes(self, fourcc: int) -> Sizes:
+        """Return the picture sizes that the driver offers for a pixel format `fourcc`."""
         query = raw.v4l2_frmsizeenum()
         query.pixel_format = fourcc
         sizes = []

@@ -160,6 +160,7 @@ def _camera(camera: CameraStatus) -> Text:
 
 
 def _output(output: OutputStatus, reason: str) -> Text:
+    """Return the line of an output. A failure that is the `reason` of the state is not repeated."""
     text = _text(output.spec)
     if output.failed:
         failed = "failed" if output.failed == reason else printable(output.failed).removeprefix(f"{output.spec}: ")

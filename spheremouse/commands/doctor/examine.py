@@ -188,6 +188,7 @@ class _Run:
 
 
 def _cameras(nodes_found: list[Node], live: bool) -> Finding:
+    """Return the finding on connected cameras; `live`: the source is one."""
     if nodes_found:
         listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in nodes_found)
         return ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in nodes_found])

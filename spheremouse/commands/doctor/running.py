@@ -79,6 +79,7 @@ def _frames(s: StatusReport) -> Finding | None:
 
 
 def _latency(s: StatusReport) -> Finding | None:
+    """Return the finding on the latency in frame intervals; None before anything was sent."""
     ms = s.latency_ms
     if ms is None or ms.p50 is None or ms.p99 is None or s.fps <= 0.0:
         return None

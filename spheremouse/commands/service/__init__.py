@@ -46,7 +46,7 @@ def install(
 
     If a file differs, the command replaces it. It never changes an existing configuration.
     """
-    place = _place(root, user)
+    place = _checked_place(root, user)
     if user and allow:
         raise ServiceError("--allow: the service of your own account has no filter of addresses", "leave --allow out")
     program, trouble = service.executable(place)
@@ -83,7 +83,7 @@ def uninstall(
     ] = False,
 ) -> None:
     """Stop the service and remove its files. Configuration, calibration and recordings stay, unless --purge."""
-    place = _place(root, user)
+    place = _checked_place(root, user)
     actions = list(service.uninstall(place, purge))
     live = place.root == _ROOT and _booted(place)
     if dry_run:
@@ -121,7 +121,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
     from spheremouse.commands.service.check import check_files, check_state, check_user
     from spheremouse.finding import Verdict
 
-    place = _place(root, user)
+    place = _checked_place(root, user)
     findings = [check_files(place)]
     if place.root == _ROOT:
         findings += [check_state(place), *([] if user else [check_user(node=None)])]
@@ -133,7 +133,8 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
 # ---- within ----
 
 
-def _place(root: Path, user: bool) -> Place:
+def _checked_place(root: Path, user: bool) -> Place:
+    """Return where to put the files. Raises ServiceError where this user cannot put them."""
     if sys.platform != "linux":
         raise ServiceError("service: needs Linux with systemd; elsewhere have the system start `spheremouse run`")
     if user and os.geteuid() == 0 and os.environ.get("SUDO_USER"):

@@ -90,12 +90,13 @@ class Tray:
 
     def _show(self, v: View, note: str) -> None:
         try:
-            self._draw(v, note)
+            self._update_icon(v, note)
             self._notify(v)
         except Exception as e:  # the desktop may be ending; a lasting error appears at the next start
             logging.getLogger(__name__).debug("icon not updated: %s", e)
 
-    def _draw(self, v: View, note: str) -> None:
+    def _update_icon(self, v: View, note: str) -> None:
+        """Update icon, tooltip and menu where they changed. A menu that differs in digits alone waits."""
         icon, now = self._icon, time.monotonic()
         if v.state != self._state:
             icon.icon, self._state = tray.icon(v.state), v.state
@@ -107,6 +108,7 @@ class Tray:
             icon.menu, self._items, self._refreshed = self._menu(items), items, now
 
     def _notify(self, v: View) -> None:
+        """Notify the user of a change that is worth it, and of a finished recording."""
         text = self._notices.update(v, time.monotonic())
         if v.connected:
             if self._recording is not None and v.recording is None:
@@ -119,9 +121,10 @@ class Tray:
             self._icon.notify(text, "spheremouse")
 
     def _menu(self, items: tuple[tray.Item, ...]) -> Any:
-        return self._pystray.Menu(*(self._item(i) for i in items))
+        return self._pystray.Menu(*(self._menu_item(i) for i in items))
 
-    def _item(self, item: tray.Item) -> Any:
+    def _menu_item(self, item: tray.Item) -> Any:
+        """Return an entry of the menu as pystray takes it. One without an action is greyed out."""
         if item is tray.SEPARATOR:
             return self._pystray.Menu.SEPARATOR
         action = item.action

@@ -128,6 +128,7 @@ class PictureWriter:
             self._write(0, first)
 
     def _write(self, index: int, image: Image) -> None:
+        """Write an image to the video in its colours. Without a video, or if colour would be lost, write a file."""
         if self._video is None or (image.ndim == 3 and not self._colour):
             self._write_file(index, image)
         if self._video is None:

@@ -108,7 +108,7 @@ def open_wand(path: Path | str) -> WandRecording:
         path=path,
         name=scene.name or path.name,
         camera=scene.interior_orientation(scene.camera),
-        balls=tuple(_ball(f"{path / 'scene.json'}: {key}", wand) for key, wand in wands.items()),
+        balls=tuple(_wand_ball(f"{path / 'scene.json'}: {key}", wand) for key, wand in wands.items()),
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
@@ -129,7 +129,8 @@ def _read_scene(document: Document) -> _Scene:
     return scene
 
 
-def _ball(place: str, wand: _Wand) -> WandBall:
+def _wand_ball(place: str, wand: _Wand) -> WandBall:
+    """Return the ball at a `place` of scene.json. Raises DatasetError if a disc is larger than the ball."""
     discs: list[WandDisc] = []
     for i, disc in enumerate(wand.discs):
         if disc.diameter >= 2.0 * wand.radius or (disc.points or 0.0) >= 2.0 * wand.radius:

@@ -30,6 +30,7 @@ def rendered(package: str, name: str, **values: object) -> Markup:
 
 @cache
 def _templates(package: str) -> Environment:
+    """Return the template environment of a package; our shared templates are found, too."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package, ""), PackageLoader(_PACKAGE, "")]),
         autoescape=True,

@@ -85,6 +85,7 @@ class WorkerPool:
                 thread.join(max(0.0, end - time.monotonic()))
 
     def _run(self, kind: str) -> None:
+        """Do the works of one kind in their order, each with its follow-up."""
         while (work := self._given[kind].get()) is not None:
             follow_up = self._tried(work)
             del work  # with the pictures that it holds

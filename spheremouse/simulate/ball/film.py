@@ -68,7 +68,7 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         _check_length(options.seconds, options.fps, named("seconds"))
     elif options.motion == "roll":
         _check_length(TURN_SECONDS * options.turns, options.fps, named("turns"))
-    profile = _profile(options)
+    profile = _motion_profile(options)
     seconds = profile.seconds if options.seconds is None else options.seconds
     for field in ("bump", "lift", "cover", "dim_at", "disc_off", "disc_moved"):
         time = getattr(options, field)
@@ -121,7 +121,8 @@ def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterat
         yield renderer.frame(simulation.profile, t, index, rng)
 
 
-def _profile(options: SimulationOptions) -> Profile:
+def _motion_profile(options: SimulationOptions) -> Profile:
+    """Return the motion that the options select."""
     if options.motion == "roll":
         return roll(options.turns, options.seconds)
     if options.motion == "play":

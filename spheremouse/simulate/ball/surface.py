@@ -64,7 +64,7 @@ class Surface:
         self.scene = scene
         camera, pose = scene.camera, scene.pose
         self._there = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
-        self._place(np.zeros(3))
+        self._set_centre(np.zeros(3))
         uv = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
         low, high = np.floor(uv.min(axis=0)) - _TESTED_MARGIN_PX, np.ceil(uv.max(axis=0)) + _TESTED_MARGIN_PX + 1
         (u0, v0), (u1, v1) = np.clip([low, high], 0, (camera.width, camera.height)).astype(int)
@@ -77,10 +77,11 @@ class Surface:
     def moved(self, centre: Array) -> Self:
         """The same with the ball's centre, (3,) m in obj, elsewhere within reach."""
         other = copy.copy(self)
-        other._place(centre)
+        other._set_centre(centre)
         return other
 
-    def _place(self, centre: Array) -> None:
+    def _set_centre(self, centre: Array) -> None:
+        """Set the place of the ball, `centre` (3,) m in obj, and the geometry of its outline."""
         scene = self.scene
         self._centre = centre
         self._origin = scene.pose.position - centre  # (3,) m, the camera from the ball's centre

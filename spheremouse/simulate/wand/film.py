@@ -62,7 +62,7 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
 
     `ball` replaces Grzonka's. `named` returns the name of a field in its source, for example its command-line option.
     """
-    _check(options, named)
+    _check_options(options, named)
     fps = options.fps or _FPS[options.motion]
     paths = _paths(options)
     length = min(p.seconds for p in paths) - options.begin
@@ -146,7 +146,8 @@ def _passing(
     return (Passing(options.begin + at, speed * np.array([x, y, 0.0]), nearest, (0.6 if beside else 0.5) / speed),)
 
 
-def _check(options: WandOptions, named: Named) -> None:
+def _check_options(options: WandOptions, named: Named) -> None:
+    """Raise ConfigurationError if options are out of bounds or do not go together."""
     check_bounds(options, named)
     if options.fps is not None and options.blur > 1.0 / options.fps:
         raise ConfigurationError(f"{named('blur')}: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
