@@ -7,8 +7,9 @@ distributions add outputs by entry points in the group `spheremouse.output`.
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol, Self
@@ -76,9 +77,12 @@ class Report(NamedTuple):
         return M @ R_obj_view.T @ np.linalg.inv(M)
 
     @property
-    def counted(self) -> list[tuple[Sample, Counts]]:
+    def counted(self) -> Iterable[tuple[Sample, Counts]]:
         """Each sample with its counts, which are zero for a ball that does not point."""
-        return [(s, self.counts if k == self.pointing else (0, 0, 0)) for k, s in enumerate(self.samples)]
+        counts: list[Counts] = [(0, 0, 0)] * len(self.samples)
+        if counts:
+            counts[self.pointing] = self.counts
+        return zip(self.samples, counts, strict=True)
 
 
 class Mapping(Protocol):
@@ -135,6 +139,7 @@ class Output:
 
     paced: bool = False  # True: counts at a steady rate, predicted between frames; False: a report a frame
     blocks: bool = True  # `send` may wait for a device, disk or receiver; False: the tracker's thread calls it
+    period: float = inf  # s; so often, the output's thread sends an empty report, which may block
     hang_hint: str = ""  # usual reason why a call hangs
 
     def begin(self, describe_run: DescribeRun) -> None:
@@ -181,7 +186,18 @@ def _applies_response(spec: str) -> bool:
 
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
-    members = ("send", "begin", "delivery", "drop_waiting", "paced", "blocks", "hang_hint", "__enter__", "__exit__")
+    members = (
+        "send",
+        "begin",
+        "delivery",
+        "drop_waiting",
+        "paced",
+        "blocks",
+        "period",
+        "hang_hint",
+        "__enter__",
+        "__exit__",
+    )
     return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
 
 

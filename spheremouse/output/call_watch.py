@@ -20,7 +20,7 @@ class CallWatch:
         self._seen: tuple[Call, float] | None = (
             None  # the one that a caller saw last, and the time of the first sight, s
         )
-        self._hung: Call | None = None  # the last one that hung
+        self.last_hung: Call | None = None  # the last one that hung
 
     def run(self, call: Call, function: Callable[..., object], *arguments: object) -> bool:
         """Make a call, which may never return. Return True if it hung."""
@@ -33,7 +33,7 @@ class CallWatch:
 
     def hung(self, call: Call | None) -> bool:
         """Return whether this call was the last one that hung; False for None."""
-        return call is not None and call is self._hung
+        return call is not None and call is self.last_hung
 
     def look(self) -> str | None:
         """Return the reason if the pending call hangs. The first such look logs it."""
@@ -48,6 +48,6 @@ class CallWatch:
         what, hint = call
         reason = f"the output hangs: {what}{f' ({hint})' if hint else ''} for {took:.1f} s"
         if not self.hung(call):
-            self._hung = call
+            self.last_hung = call
             self._log(reason)
         return reason

@@ -56,8 +56,9 @@ class Server(Generic[ClientType]):
     def broadcast(self, data_of: Callable[[ClientType], bytes]) -> None:
         """Send each client that is ready its data."""
         with self._lock:
-            for connection, client in [pair for pair in self._clients.items() if pair[1].ready]:
-                self._write(connection, data_of(client))
+            for connection, client in tuple(self._clients.items()):
+                if client.ready:
+                    self._write(connection, data_of(client))
 
     def close(self) -> None:
         """Close the port and all connections."""

@@ -5,6 +5,7 @@ recording. All vectors are in `obj`, and in `cam` for a hand-held ball. docs/out
 """
 
 import struct
+from collections.abc import Sequence
 from functools import cache
 from math import isfinite, sqrt
 
@@ -18,6 +19,7 @@ from spheremouse.tracker import Status
 
 _MAX_COUNT = 2**31 - 1  # an OSC integer is signed and has 32 bits
 _IMMEDIATELY, _NTP_EPOCH = 1, 2208988800  # time tag in 2**-32 s; s from 1900 to 1970 (RFC 5905)
+_ZEROS = (0.0, 0.0, 0.0)
 _NUMBERS = {"counts": "iii", "quaternion": "ffff", "rate": "fff", "sigma": "fff", "position": "fff"}
 
 
@@ -37,11 +39,10 @@ def encode(sample: Sample, counts: Counts) -> bytes:
     """
     estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
-    vectors: list[list[float]] = [[max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]]
+    vectors: list[Sequence[float]] = [counts if max(map(abs, counts)) <= _MAX_COUNT else _clipped(counts)]
     if estimate.status is Status.TRACKING:
-        variances = estimate.covariance.diagonal()[:3].tolist()
-        sigma = [sqrt(max(v, 0.0)) for v in variances]
-        vectors += [to_quaternion(estimate.rotation), estimate.rate[:3].tolist(), sigma]
+        variances = map(max, estimate.covariance.diagonal()[:3].tolist(), _ZEROS)
+        vectors += [to_quaternion(estimate.rotation), estimate.rate[:3].tolist(), list(map(sqrt, variances))]
         if sample.coordinates == "cam":
             vectors.append(estimate.position.tolist())
         if not isfinite(sum(map(sum, vectors))):
@@ -51,6 +52,10 @@ def encode(sample: Sample, counts: Counts) -> bytes:
     for head, vector in zip(heads, vectors, strict=True):
         values += (head, *vector)
     return form.pack(*values)
+
+
+def _clipped(counts: Counts) -> list[int]:
+    return [max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]
 
 
 @cache

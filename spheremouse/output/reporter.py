@@ -238,7 +238,12 @@ class OutputThread:
         return pointer.due(self._resampler, now)
 
     def _send_between_frames(self, now: float) -> None:
-        """Send a report between frames if counts are due."""
+        """Send a report between frames if counts are due, or an empty one to an output that has a period."""
+        if not self._paced:
+            assert self._output is not None
+            self._next_time = now + self._output.period
+            self._send(_empty(now), self._sent)
+            return
         self._plan(now)
         due = pointer.due(self._resampler, now)
         if due != self._sent:
@@ -274,7 +279,7 @@ class OutputThread:
         if self._unproven is not None:
             self._unproven = None
             self._log(f"{self._name}: works again")
-        if self._calls.hung(call):
+        if call is self._calls.last_hung:
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True
@@ -290,11 +295,11 @@ class OutputThread:
             self._failed, self._unproven = None, self._failed
         elif hung:
             self._works_again()
-        self._next_time = inf
 
     def _enter(self) -> None:
         """Open the output, and read whether it is paced and confirms deliveries."""
         self._output = output = self._open().__enter__()
+        self._next_time = self._clock() + output.period
         self._paced, self._acknowledges = output.paced, type(output).delivery is not Output.delivery
 
     def _check_delivery(self) -> None:
@@ -346,7 +351,8 @@ class OutputThread:
         self._unsent = plus(self._unsent, minus(self._frame_sum, self._sent))
         self._past = plus(self._past, self._sent)
         self._resampler, self._frame_sum, self._sent = Resampler(), _NONE, _NONE
-        self._next_time = inf
+        if self._paced:
+            self._next_time = inf
 
     def _drop_queue(self) -> None:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""

@@ -4,7 +4,6 @@ A file with the same columns is continued. Each opening of it is one run of the 
 """
 
 import contextlib
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,12 +12,11 @@ import orjson
 
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream
-from spheremouse.output import DescribeRun, Output, OutputClosed, Report
+from spheremouse.output import DescribeRun, OutputClosed, Report
+from spheremouse.output.batch import BatchOutput
 from spheremouse.output.columns import Column, columns, rows
 from spheremouse.output.log_file import cannot_be_written, refuse_other_files
 from spheremouse.output.run_json import RunRecord
-
-_WRITE_INTERVAL_S = 1.0  # s between two writes
 
 
 class RowWriter(Protocol):
@@ -37,46 +35,40 @@ class RowWriter(Protocol):
         ...
 
 
-class Table(Output):
+class Table(BatchOutput):
     """Writes one row a ball and frame. The first frame determines the columns."""
 
     def __init__(self, path: Path, writer: RowWriter) -> None:
         self._path, self._writer = path, writer
         self._describe_run: DescribeRun = dict
-        self._reports: list[Report] = []  # not written yet
         self._begun, self._stream = False, is_stream(path)
-        self._due = 0.0  # s, monotonic, of the next write
+        super().__init__(at_once=self._stream)
         self._record: RunRecord | None = None  # a stream has none
 
     def begin(self, describe_run: DescribeRun) -> None:
         """Take the function that describes the run; the first frame calls it."""
         self._describe_run = describe_run
 
-    def send(self, report: Report) -> None:
-        """Keep the rows of a frame, and write them if that is due. A reader of a stream gets them at once."""
-        if not report.samples:
-            return
-        self._reports.append(report)
-        if self._stream or time.monotonic() >= self._due:
-            try:
-                self._write()
-            except BrokenPipeError:
-                raise OutputClosed(str(self._path)) from None
-            except OSError as e:
-                raise cannot_be_written(self._path, e) from None
+    def write(self, reports: list[Report]) -> None:
+        """Write the rows of reports."""
+        try:
+            self._write([report for report in reports if report.samples])
+        except BrokenPipeError:
+            raise OutputClosed(str(self._path)) from None
+        except OSError as e:
+            raise cannot_be_written(self._path, e) from None
 
     def close(self) -> None:
         """Write the last rows, close the file, and complete the description of the run."""
         try:
             with contextlib.closing(self._writer):
-                self._write()
+                self.write_kept()
         except OSError as e:
             raise cannot_be_written(self._path, e) from None
         if self._record is not None:
             self._record.finish()
 
-    def _write(self) -> None:
-        reports, self._reports, self._due = self._reports, [], time.monotonic() + _WRITE_INTERVAL_S
+    def _write(self, reports: list[Report]) -> None:
         if not reports:
             return
         if not self._begun:

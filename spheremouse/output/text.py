@@ -1,6 +1,7 @@
 """`text:-` and `text:FILE[,format=json|counts|reports|fictrac]`: write reports as lines.
 
-Every line is flushed. The output appends to FILE, so a second run or a full disk costs no line. Each opening writes the
+Lines to a stream are flushed one by one, and those to a regular file twice a second. The output appends to FILE, so a
+second run or a full disk costs no line. Each opening writes the
 header line of the format again, if it has one. A file with other contents is refused. `reports` writes the counts that
 a mouse would get, also those between two frames.
 """
@@ -11,9 +12,10 @@ import sys
 from pathlib import Path
 from typing import BinaryIO
 
-from spheremouse.files.safe_files import open_to_append
+from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding, ok
-from spheremouse.output import Output, OutputClosed, Report
+from spheremouse.output import OutputClosed, Report
+from spheremouse.output.batch import BatchOutput
 from spheremouse.output.lines import LineFormat, parse_address
 from spheremouse.output.log_file import (
     cannot_be_written,
@@ -24,29 +26,29 @@ from spheremouse.output.log_file import (
 )
 
 
-class Text(Output):
+class Text(BatchOutput):
     """Writes reports as lines."""
 
     hang_hint = "its reader does not read"
 
-    def __init__(self, file: BinaryIO, name: str, form: LineFormat) -> None:
+    def __init__(self, file: BinaryIO, name: str, form: LineFormat, *, at_once: bool) -> None:
+        super().__init__(at_once=at_once or form.paced)
         self._file, self._name, self._form, self._reader_gone = file, name, form, False
         self.paced = form.paced
         if form.header:
             with contextlib.suppress(OutputClosed):  # the first `send` raises it, inside the `with` block
                 self._write(form.header)
 
-    def send(self, report: Report) -> None:
-        """Write the lines of a report."""
-        for line in self._form.lines(report):
-            self._write(line)
+    def write(self, reports: list[Report]) -> None:
+        """Write the lines of reports."""
+        self._write(b"".join(line for report in reports for line in self._form.lines(report)))
 
-    def _write(self, line: bytes) -> None:
-        """Write a line. Raise OutputClosed if the reader is gone; discard unwritten text after an error."""
+    def _write(self, lines: bytes) -> None:
+        """Write lines. Raise OutputClosed if the reader is gone; discard unwritten text after an error."""
         if self._reader_gone:
             raise OutputClosed(self._name)
         try:
-            self._file.write(line)
+            self._file.write(lines)
             self._file.flush()
         except BrokenPipeError:
             self._reader_gone = True
@@ -64,22 +66,25 @@ class Text(Output):
             os.close(null)
 
     def close(self) -> None:
-        """Close the file."""
-        if self._file is not sys.stdout.buffer:
-            self._file.close()
+        """Write the last lines, and close the file."""
+        try:
+            self.write_kept()
+        finally:
+            if self._file is not sys.stdout.buffer:
+                self._file.close()
 
 
 def open(argument: str) -> Text:
     """Open standard output (`-` or nothing) or a file to append to."""
     name, form = parse_address("text", argument)
     if name in ("", "-"):
-        return Text(sys.stdout.buffer, "standard output", form)
+        return Text(sys.stdout.buffer, "standard output", form, at_once=True)
     path = Path(name)
     try:
         refuse_other_files(path, form.start)
         file = open_to_append(path)
         drop_unfinished_line(path, file.fileno())
-        return Text(file, str(path), form)
+        return Text(file, str(path), form, at_once=is_stream(path))
     except (OSError, ValueError) as e:
         raise cannot_be_written(path, e) from None
 

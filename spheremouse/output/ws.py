@@ -7,7 +7,6 @@ that is no browser names no origin, and may connect. A client that does not read
 """
 
 import re
-import struct
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 _LOCAL_PAGE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _GOING_AWAY = 1001
-_TEXT = 0x81  # first byte of a final text frame
+_TEXT = b"\x81"  # first byte of a final text frame
 
 
 class _Client(Client):
@@ -65,10 +64,9 @@ class WebSocket(LineServer):
 
     def encode(self, line: bytes) -> bytes:
         """Return the line as a text frame (RFC 6455, section 5.2); the library's takes 20 times as long."""
-        data = line.rstrip(b"\n")
-        n = len(data)
-        form, length = ("!BB", (n,)) if n < 126 else ("!BBH", (126, n)) if n < 1 << 16 else ("!BBQ", (127, n))
-        return struct.pack(form, _TEXT, *length) + data
+        n = len(line) - 1  # without its end
+        size = n.to_bytes(1) if n < 126 else b"\x7e" + n.to_bytes(2) if n < 1 << 16 else b"\x7f" + n.to_bytes(8)
+        return _TEXT + size + line[:-1]
 
 
 def open(argument: str) -> WebSocket:
