@@ -2,7 +2,7 @@
 
 import typer
 
-from spheremouse.commands.calibrate import camera, device, init, next, photos, practice, rolling
+from spheremouse.commands.calibrate import camera, device, init, next, photos, practice, rolling, tie
 from spheremouse.commands.calibrate import print as prints
 
 app = typer.Typer(
@@ -20,3 +20,4 @@ app.command(epilog=device.EXAMPLE)(device.device)
 app.command("next", epilog=next.EXAMPLE)(next.next_)
 app.command(epilog=practice.EXAMPLE)(practice.practice)
 app.command(epilog=rolling.EXAMPLE)(rolling.rolling)
+app.command(epilog=tie.EXAMPLE)(tie.tie)
