@@ -49,7 +49,7 @@ class Access:
         `client` is the address of the other side. `host`, `origin` and `cookies` are its headers, and `given` is the
         token in the address. A page of another origin, or a foreign name for this computer, is refused.
         """
-        if not self._is_ours(host) or origin not in (None, f"http://{host}", f"https://{host}"):
+        if not self._is_allowed_host(host) or origin not in (None, f"http://{host}", f"https://{host}"):
             return None
         owner = self.is_token(given) or self.is_token(_cookie(cookies))
         return Visitor(owner) if owner or _is_loopback(client) else None
@@ -58,8 +58,11 @@ class Access:
         """Return True if the text is the token."""
         return text is not None and hmac.compare_digest(text.encode("utf-8", "replace"), self._token.encode())
 
-    def _is_ours(self, host: str) -> bool:
-        """Return True if `Host` is an address, which no foreign page can point elsewhere, or one of our names."""
+    def _is_allowed_host(self, host: str) -> bool:
+        """Return True if the Host header has our port, and an IP address or one of our names.
+
+        A foreign page can point only a name to this computer (DNS rebinding), not an address.
+        """
         name, _, port = host.rpartition(":") if not host.endswith("]") and ":" in host else (host, "", "80")
         if port != str(self._port):
             return False

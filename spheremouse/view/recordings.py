@@ -17,7 +17,7 @@ from spheremouse.session.control.client import NoDaemonError
 from spheremouse.session.replay import ReplayProcess
 from spheremouse.view.daemon import DaemonLink, Message
 
-_MAX_END = 3.0  # s; systemd gives the page 5 s
+_MAX_END_S = 3.0  # s; systemd gives the page 5 s
 _OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
 
@@ -29,7 +29,7 @@ class Recordings:
         """`run` returns the JSON that a command of ours prints."""
         self._daemon, self._run, self._live = daemon, run, daemon.socket
         self._replay: ReplayProcess | None = None
-        self._end: asyncio.Task[str] | None = None  # of the last replay
+        self._ending: asyncio.Task[str] | None = None  # waits for the end of the last replay
 
     async def listed(self) -> Message:
         """Return the recordings, as `Listed` with their names in place of paths, and the folders that were searched.
@@ -41,18 +41,18 @@ class Recordings:
         return {"recordings": recordings, "folders": [str(folder) for folder in self._folders()]}
 
     async def play(self, name: str) -> str:
-        """Replay a recording with the settings that the page shows, in place of another replay. Return a message.
+        """End the present replay, if there is one, and replay another recording with the settings that the page shows.
 
-        Raises ControlError if the list has no such recording, or if the replay ends at its start or refuses a setting.
-        Then the page shows the camera.
+        Return a message. Raises ControlError. If the list has no such recording, nothing changes. If the replay ends
+        before it is ready, or refuses a setting, the page shows the camera.
         """
         recording, status = await self._recording(name), self._daemon.status or {}
         self.end()
         replay = self._replay = await ReplayProcess.start(recording.path, self._options(recording))
-        self._end = asyncio.create_task(self._ended(replay))
+        self._ending = asyncio.create_task(self._await_end(replay))
         try:
             if not await replay.wait_until_ready(status.get("changes") or []):
-                raise ControlError(f"{name}: {await self._end}")
+                raise ControlError(f"{name}: {await self._ending}")
         except BaseException:  # also if the browser has left
             self.end()
             raise
@@ -83,8 +83,8 @@ class Recordings:
     async def close(self) -> None:
         """End the replay, and wait until its files are removed, at most 3 s."""
         self.end()
-        if self._end is not None:
-            await asyncio.wait([self._end], timeout=_MAX_END)
+        if self._ending is not None:
+            await asyncio.wait([self._ending], timeout=_MAX_END_S)
 
     async def compare(self, name: str, begin: float = 0.0, end: float | None = None) -> Message:
         """Return reports of `evaluate` by the saved and by the present settings, as `before` and `after`.
@@ -104,10 +104,10 @@ class Recordings:
         before, *after = await asyncio.gather(*(self._run(*run) for run in runs))
         return {"before": before, "after": after[0] if after else before}
 
-    async def _ended(self, replay: ReplayProcess) -> str:
-        """Return the last line of a replay that has ended. If it ended by itself, report the line."""
+    async def _await_end(self, replay: ReplayProcess) -> str:
+        """Return the last line of a replay that has ended. If it was shown, report the line, and show the camera."""
         reason = await replay.ended()
-        if self._replay is replay:
+        if self._daemon.socket == replay.socket:
             self.end()
             self._daemon.publish({"type": "trouble", "id": None, "text": f"the replay has ended: {reason}"})
         return reason

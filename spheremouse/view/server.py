@@ -78,18 +78,18 @@ class _Do(_Message):
 _MESSAGES: TypeAdapter[_Pace | _Set | _Do] = TypeAdapter(_Pace | _Set | _Do, config=ConfigDict())
 
 
-class Page:
+class LivePage:
     """All browsers of one daemon."""
 
-    def __init__(self, socket: Path | None, access: Access, guide: GuideOptions) -> None:
-        """Call it in the event loop. Without `socket` the daemon is found as `spheremouse ctl` does."""
+    def __init__(self, socket: Path | None, access: Access, guide_options: GuideOptions) -> None:
+        """Make the page in the event loop, which its tasks need. Without `socket`, `find_socket` finds the daemon's."""
         self.access = access
         self.daemon = DaemonLink(socket, self._publish)
         self.pictures = Pictures(lambda: self.daemon.socket)
-        self.guide = Guide(guide, socket, self._publish)
+        self.guide = Guide(guide_options, socket, self._publish)
         self.actions = Actions(self.daemon, self.guide)
         self.browsers: set[_Browser] = set()
-        self._leaving: asyncio.Task[None] | None = None
+        self._closing_link: asyncio.Task[None] | None = None  # closes the link when no browser comes back
 
     async def serve(self, socket: WebSocket, visitor: Visitor) -> None:
         """Serve a browser until it leaves."""
@@ -99,18 +99,18 @@ class Page:
         await socket.accept()
         browser = _Browser(self, socket, visitor.owner)
         self.browsers.add(browser)
-        if self._leaving is not None:
-            self._leaving.cancel()
+        if self._closing_link is not None:
+            self._closing_link.cancel()
         self.daemon.set_watched(True)
         try:
             await browser.converse()
         finally:
             self.browsers.discard(browser)
             if not self.browsers:
-                self._leaving = asyncio.create_task(self._rest())
+                self._closing_link = asyncio.create_task(self._close_link())
 
-    async def _rest(self) -> None:
-        """Close the connection to the daemon when no browser has come back for a while."""
+    async def _close_link(self) -> None:
+        """Close the connection to the daemon if no browser comes back for a while."""
         await asyncio.sleep(_LINK_KEPT_S)
         if not self.browsers:
             self.actions.recordings.end()
@@ -129,7 +129,7 @@ class Page:
 class _Browser:
     """One WebSocket."""
 
-    def __init__(self, page: Page, socket: WebSocket, owner: bool) -> None:
+    def __init__(self, page: LivePage, socket: WebSocket, owner: bool) -> None:
         self._page, self._socket, self.owner = page, socket, owner
         self._waiting: deque[tuple[str, str | bytes]] = deque(maxlen=_MAX_WAITING)
         self._has_waiting = asyncio.Event()
@@ -236,13 +236,13 @@ class _Browser:
         self.push("frame", struct.pack(">I", len(text)) + text + jpeg)
 
 
-def application(socket: Path | None, access: Access, guide: GuideOptions) -> Starlette:
+def application(socket: Path | None, access: Access, guide_options: GuideOptions) -> Starlette:
     """Return the web application."""
-    pages: list[Page] = []
+    pages: list[LivePage] = []
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        pages.append(Page(socket, access, guide))
+        pages.append(LivePage(socket, access, guide_options))
         yield
         await pages[0].actions.recordings.close()
         pages[0].daemon.close()

@@ -387,6 +387,16 @@ def test_the_end_of_a_replay_is_reported(world, page, clip):
         browser.until("status", lambda m: m["status"] and "replay" not in m["status"]["source"])
 
 
+@pytest.mark.slow
+def test_a_replay_that_ends_at_its_start_is_reported_once(world, page, clip):
+    (Path(world.client.ask("status")["recordings"]) / clip / "video.mkv").write_bytes(b"")
+    with Browser(page) as browser:
+        browser.until("status", lambda m: m["status"])
+        assert "video.mkv: no frame" in act(browser, "play", name=clip)["text"]
+        browser.until("status")
+        assert [m["id"] for m in browser.seen if m["type"] == "trouble"] == [1]  # the answer
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])
 def test_a_foreign_page_gets_403(alone, origin):
     with pytest.raises(InvalidStatus) as e:
