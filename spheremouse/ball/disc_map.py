@@ -96,14 +96,15 @@ class DiscMap:
         return len(i) < len(saved) or len(j) < len(self) or bool(np.any(better))
 
     def turned(self, rotation: Array) -> "DiscMap":
-        """Return the map in a frame rotated by (3, 3): the new directions are the old ones @ rotation.T."""
-        directions = self.directions
-        turned_directions = directions @ rotation.T
-        axes = tangent_basis(turned_directions).transpose(0, 2, 1) @ rotation @ tangent_basis(directions)  # (m, 2, 2)
-        m = len(self)
+        """Return the map with its directions d replaced by rotation @ d, and the covariance in the tangent bases there.
+
+        `rotation` is (3, 3).
+        """
+        directions, m = self.directions @ rotation.T, len(self)
+        basis_change = np.swapaxes(tangent_basis(directions), 1, 2) @ rotation @ tangent_basis(self.directions)
         blocks = self.covariance.reshape(m, 2, m, 2)
-        covariance = np.einsum("iab,ibjc,jdc->iajd", axes, blocks, axes).reshape(2 * m, 2 * m)
-        return replace(self, directions=turned_directions, covariance=covariance)
+        covariance = np.einsum("iab,ibjc,jdc->iajd", basis_change, blocks, basis_change).reshape(2 * m, 2 * m)
+        return replace(self, directions=directions, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,5 +134,5 @@ class Comparison:
 
 
 def variances(disc_map: DiscMap) -> Array:
-    """Variance of each disc's direction, (m,) rad², the mean over its two axes."""
+    """Return the variance of each disc's direction, (m,) rad², the mean over its two axes."""
     return np.diag(disc_map.covariance).reshape(-1, 2).mean(axis=1)

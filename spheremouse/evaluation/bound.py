@@ -72,40 +72,41 @@ def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth)
         rows.append(DiscTruth(*(getattr(discs, name)[found] for name in DiscTruth.__slots__)))
         errors.append(points[j] - discs.centre[found])
     area = np.concatenate([np.where(r.state == VISIBLE, r.area, np.nan) for r in rows]) if rows else np.zeros(0)
-    sigma = _by_class(area, np.mean(np.concatenate(errors) ** 2, axis=1))
+    sigma = _sigma_by_class(area, np.mean(np.concatenate(errors) ** 2, axis=1))
     ends = np.cumsum([0, *(len(r) for r in rows)])
     return [Sight(r.disc, sigma[a:b]) for r, a, b in zip(rows, ends[:-1], ends[1:], strict=True)]
 
 
-def _by_class(area: Array, square: Array) -> Array:
-    """Return the standard deviation of each centre, (n,) px: the RMS over its class of squared errors `square`, (n,).
+def _sigma_by_class(area: Array, squared_error: Array) -> Array:
+    """Return the standard deviation of each centre, (n,) px per axis: the RMS error over its class.
 
-    `area` (n,) px² is nan for cut discs, which are one class. Octaves with fewer than 20 centres join the next larger
-    one, the largest the next smaller. Fewer than 20 cut discs get at least the largest value of the others.
+    `squared_error` (n,) px² is the mean over both axes. `area` (n,) px² is nan for cut discs, which are one class. An
+    octave with fewer than 20 centres joins the next larger octave; a rest at the top joins the last class. Fewer than
+    20 cut discs get at least the largest value of the others.
     """
     whole = np.isfinite(area)
     octave = np.floor(np.log2(np.maximum(np.where(whole, area, 1.0), 1.0)))
     groups: list[NDArray[np.bool_]] = []
-    few = np.zeros(len(area), dtype=bool)
+    pending = np.zeros(len(area), dtype=bool)
     for value in np.unique(octave[whole]):
-        few |= whole & (octave == value)
-        if np.count_nonzero(few) >= _MIN_CLASS_SIZE:
-            groups.append(few)
-            few = np.zeros(len(area), dtype=bool)
-    if few.any():
-        groups = [*groups[:-1], groups[-1] | few] if groups else [few]
+        pending |= whole & (octave == value)
+        if np.count_nonzero(pending) >= _MIN_CLASS_SIZE:
+            groups.append(pending)
+            pending = np.zeros(len(area), dtype=bool)
+    if pending.any():
+        groups = [*groups[:-1], groups[-1] | pending] if groups else [pending]
     sigma = np.zeros(len(area))
     for group in groups:
-        sigma[group] = _rms(square[group])
+        sigma[group] = _rms(squared_error[group])
     cut = ~whole
     if cut.any():
-        worst = float(sigma.max(initial=0.0))
-        sigma[cut] = _rms(square[cut]) if np.count_nonzero(cut) >= _MIN_CLASS_SIZE else max(worst, _rms(square[cut]))
+        worst_whole = float(sigma.max(initial=0.0)) if np.count_nonzero(cut) < _MIN_CLASS_SIZE else 0.0
+        sigma[cut] = max(worst_whole, _rms(squared_error[cut]))
     return sigma
 
 
-def _rms(square: Array) -> float:
-    return max(float(np.sqrt(np.mean(square))), _MIN_SIGMA)
+def _rms(squared_error: Array) -> float:
+    return max(float(np.sqrt(np.mean(squared_error))), _MIN_SIGMA)
 
 
 # ---- the bound ----

@@ -1,7 +1,8 @@
 """Decode images and films only after their header shows that they fit into memory.
 
 A header of a few bytes can declare any image size, and decoders allocate it. For example, 3 MB of PNG become 6 GB. Each
-function raises an OSError before it allocates that memory. The error's `strerror` has problem and remedy in one line.
+function but `open_film` raises an OSError before it allocates that memory. The error's `strerror` has problem and
+remedy in one line.
 """
 
 import errno
@@ -135,10 +136,10 @@ def open_capture(what: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCaptur
 
 
 def open_film(path: Path) -> cv2.VideoCapture | None:
-    """Open a film, or return None if the file is none; OSError if its frames are too large.
+    """Open a film by FFmpeg, to be released by the caller; None if FFmpeg cannot read the file.
 
-    FFmpeg decodes the first frames when it opens a film, so that the size is theirs. Other backends would take an image
-    for a film, and decode it at once.
+    An image is a film of one frame. Raises OSError, without the file's name, if frames are too large. FFmpeg decodes
+    the first frames while it opens the file, so up to 268 megapixels are allocated before.
     """
     capture = open_capture(str(path), cv2.CAP_FFMPEG)
     if capture is None:

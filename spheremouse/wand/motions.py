@@ -14,6 +14,7 @@ _THESIS_DT = 1.25  # s between the frames of the thesis' standard deviations (0.
 _BIRTH_PROBABILITY = 1e-3  # per frame, of a ball at an arbitrary pose
 _PERSISTENCE = 0.8  # part of a motion's probability that the next frame inherits
 _REGION_MARGIN = 0.5  # radii about the ball, in addition to its motion
+_MAX_SPREAD, _MARGIN_PX, _MIN_REGION_PX = 0.4, 8, 8  # of a region: m of motion, px around it, px of its sides
 _MAX_PREDICTED_ANGLE = 2.5  # rad between two frames: a larger rotation is no prediction
 _MAX_SIGMA = np.array([0.5] * 3 + [1.2] * 3)  # m, rad between two frames
 
@@ -71,20 +72,25 @@ def limit_covariance(covariance: Array) -> Array:
 
 
 def search_region(track: Track, motions: MotionMixture, tracker: WandTracker, radius: float) -> tuple[Region, int]:
-    """Return the part of the picture that the ball can reach, and the factor by which to reduce it."""
+    """Return the region (left, top, right, bottom px, the last two exclusive) in which the ball can be.
+
+    It covers 3 sigma of rest and steady motion, at most 0.4 m. A ball that starts suddenly is left to the search of the
+    whole picture. The second result is the factor by which to reduce the region.
+    """
     assert track.pose is not None
     camera, (p, _, covariance) = tracker.camera, track.pose
     middle = p + motions.shift[:, :3]
     middle = middle[middle[:, 2] > radius]
     uv = project(middle if len(middle) else p[None], camera)[0]
     depth = max(float(p[2]), 2.0 * radius)
-    spread = 3.0 * np.sqrt(np.max(np.diagonal(motions.covariance[:2], axis1=1, axis2=2)[:, :2]) + covariance[0, 0])
-    reach = camera.fx * (radius * (1.0 + _REGION_MARGIN) + min(spread, 0.4)) / depth + 8.0
+    without_start = motions.covariance[:2]
+    spread = 3.0 * np.sqrt(np.max(np.diagonal(without_start, axis1=1, axis2=2)[:, :2]) + covariance[0, 0])
+    reach = camera.fx * (radius * (1.0 + _REGION_MARGIN) + min(spread, _MAX_SPREAD)) / depth + _MARGIN_PX
     left, top = np.floor(np.min(uv, axis=0) - reach).astype(int)
     right, bottom = np.ceil(np.max(uv, axis=0) + reach).astype(int) + 1
     h, w = camera.height, camera.width
-    left, top = min(max(left, 0), w - 8), min(max(top, 0), h - 8)
-    region = (left, top, max(min(right, w), left + 8), max(min(bottom, h), top + 8))
+    left, top = min(max(left, 0), w - _MIN_REGION_PX), min(max(top, 0), h - _MIN_REGION_PX)
+    region = (left, top, max(min(right, w), left + _MIN_REGION_PX), max(min(bottom, h), top + _MIN_REGION_PX))
     return region, reduction_factor(2.0 * camera.fx * radius / depth)
 
 

@@ -30,6 +30,7 @@ _MIN_SCORE = 0.4  # of the visible discs, by area, that a pose must explain: a h
 _MAX_HYPOTHESES = 48
 MAX_ASSIGNMENTS = 300_000  # per picture, some ms: a ball of eight discs and fifty spots need fewer
 _SAME_ANGLE, _SAME_ACROSS, _SAME_DEPTH = 0.35, 0.7, 8.0  # rad, radii, radii: closer poses are one
+_WIDTH, _HEIGHT, _AREA, _CENTRE = 2, 3, 4, slice(5, 7)  # columns of kernels.connected_areas
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +59,9 @@ def find_spots(fields: Fields) -> Spots:
     f = fields.factor
     for c, binary in enumerate(fields.binary):
         areas, _, _ = kernels.connected_areas(binary, diagonal=False)
-        area, box = areas[:, 4], areas[:, 2] * areas[:, 3]
-        good = (area >= _MIN_SPOT_AREA) & (area <= binary.size / 8) & (area >= _MIN_BOX_FRACTION * box)
-        for u, v, size in zip(*((areas[good, 5:] + 0.5) * f - 0.5).T, area[good], strict=True):
+        area, box_area = areas[:, _AREA], areas[:, _WIDTH] * areas[:, _HEIGHT]
+        good = (area >= _MIN_SPOT_AREA) & (area <= binary.size / 8) & (area >= _MIN_BOX_FRACTION * box_area)
+        for u, v, size in zip(*((areas[good, _CENTRE] + 0.5) * f - 0.5).T, area[good], strict=True):
             rows.append((u + fields.left, v + fields.top, size * f * f, c))
     rows.sort(key=lambda row: -row[2])
     table = np.array(rows[:_MAX_SPOTS], dtype=float).reshape(-1, 4)
@@ -68,13 +69,16 @@ def find_spots(fields: Fields) -> Spots:
 
 
 def _glare_spots(fields: Fields) -> Array:
-    """Return the largest areas of glare, (m, 3): u, v px, area px²."""
+    """Return the areas of glare, (m, 3): u, v px, area px², in pixels of the whole picture.
+
+    They are at most `_MAX_GLARE_SPOTS`, the largest first.
+    """
     if len(fields.glare) == 0:
         return np.zeros((0, 3))
     f = fields.factor
     areas, _, _ = kernels.connected_areas(np.where(fields.glare[0] > 127, np.uint8(255), np.uint8(0)), diagonal=True)
-    area = areas[:, 4]
-    place = (areas[:, 5:] + 0.5) * f - 0.5 + [fields.left, fields.top]
+    area = areas[:, _AREA]
+    place = (areas[:, _CENTRE] + 0.5) * f - 0.5 + [fields.left, fields.top]
     largest = np.argsort(-area, kind="stable")[:_MAX_GLARE_SPOTS]
     return np.column_stack([place, area * f * f])[largest]
 

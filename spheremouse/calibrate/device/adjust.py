@@ -122,14 +122,16 @@ class DeviceCalibration:
         )
 
     def disc_map(self) -> DiscMap:
-        """Return the discs with the joint covariance of their directions, for the first run."""
-        m = len(self.discs)
-        across = tangent_basis(self.directions) / np.linalg.norm(self.discs, axis=1)[:, None, None]  # (m, 3, 2)
+        """Return the map with which the first run of the tracker begins.
+
+        It has the discs' directions, and their joint covariance along `tangent_basis`.
+        """
+        m, block, radii = len(self.discs), self.block("discs"), np.linalg.norm(self.discs, axis=1)
+        direction_by_position = np.swapaxes(tangent_basis(self.directions), 1, 2) / radii[:, None, None]  # (m, 2, 3)
         J = np.zeros((2 * m, 3 * m))
         for i in range(m):
-            J[2 * i : 2 * i + 2, 3 * i : 3 * i + 3] = across[i].T
-        discs = self.block("discs")
-        return DiscMap(self.directions, J @ self.covariance[discs, discs] @ J.T, self.sightings)
+            J[2 * i : 2 * i + 2, 3 * i : 3 * i + 3] = direction_by_position[i]
+        return DiscMap(self.directions, J @ self.covariance[block, block] @ J.T, self.sightings)
 
 
 @dataclass(frozen=True, slots=True)

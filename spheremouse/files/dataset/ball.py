@@ -95,7 +95,7 @@ def open_dataset(path: Path | str) -> Recording:
         name=scene.name or path.name,
         rig=rig,
         camera=rig.camera,
-        times=None if truth is None else truth.stamp,
+        truth_times=None if truth is None else truth.stamp,
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,

@@ -62,15 +62,15 @@ class Recorded:
     fps: float  # nominal frames/s
     frames: int
     exposure_s: float
-    stamps: Stamps | None = None
-    times: Array | None = None  # (frames,) s, of the truth
+    stamps: Stamps | None = None  # of the live camera; None without stamps.csv
+    truth_times: Array | None = None  # (frames,) s, of the truth
 
     @property
     def seconds(self) -> Array:
         """Stamps of the frames, (frames,) s: recorded ones, else those of the truth, else index / fps."""
         if self.stamps is not None:
             return self.stamps.stamp
-        return np.arange(self.frames) / self.fps if self.times is None else self.times
+        return np.arange(self.frames) / self.fps if self.truth_times is None else self.truth_times
 
 
 def read_frames(recording: Recorded) -> Iterator[Frame]:
@@ -131,7 +131,7 @@ def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8
         capture = open_film(path)
     if capture is None:
         return
-    if film_size(capture) != size:  # before anything of it is decoded
+    if film_size(capture) != size:  # before all of it is decoded
         raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json has {px(size)}")
     yield from film_images(capture)
 

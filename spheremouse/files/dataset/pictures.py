@@ -61,10 +61,11 @@ class PictureWriter:
         *,
         mixed: bool = False,
     ) -> None:
-        """Choose the codecs, which takes some tenths of a second. If none is lossless, all images become PNG files.
+        """Try the codecs, which takes some tenths of a second. A video without a lossless codec becomes PNG files.
 
-        `size` is (width, height) px, and `fps` the rate at which a player shows the video. Without `mixed`, grey images
-        are written as colour.
+        `folder` must exist. `size` is (width, height) px, and `fps` the rate at which a player shows the video.
+        `codecs` are FourCCs of colour videos in order of preference; grey videos have their own. Without `mixed`, grey
+        images are written as colour.
         """
         self.written = 0  # images, with the one that waits
         self._png_bytes = 0
@@ -74,7 +75,7 @@ class PictureWriter:
         self._video: cv2.VideoWriter | None = None
         self._colour = True  # False: the video is grey
         self._mixed = mixed
-        self._waiting: Image | None = None  # first image of a mixed film, until the second one comes
+        self._waiting: Image | None = None  # first image of a mixed film, until the second shows whether it is grey
 
     def add(self, image: Image) -> None:
         """Add an image of the writer's size. Raises DatasetError if OpenCV reports at once that it cannot write it.

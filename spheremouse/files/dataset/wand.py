@@ -113,7 +113,7 @@ def open_wand(path: Path | str) -> WandRecording:
         frames=scene.frames,
         exposure_s=scene.exposure_s,
         truths=truths,
-        times=truths[0].stamp if truths else None,
+        truth_times=truths[0].stamp if truths else None,
         stamps=read_stamps(path, scene.frames),
     )
 

@@ -63,7 +63,7 @@ class Surface:
         """`reach`: m, how far the ball's centre may be from its place."""
         self.scene = scene
         camera, pose = scene.camera, scene.pose
-        self._there = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
+        self._present = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
         self._set_centre(np.zeros(3))
         uv = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
         low, high = np.floor(uv.min(axis=0)) - _TESTED_MARGIN_PX, np.ceil(uv.max(axis=0)) + _TESTED_MARGIN_PX + 1
@@ -75,7 +75,7 @@ class Surface:
         self._dray = (turn @ dxy_duv).reshape(*u.shape, 3, 2)
 
     def moved(self, centre: Array) -> Self:
-        """The same with the ball's centre, (3,) m in obj, elsewhere within reach."""
+        """Return the same surface with the ball's centre, (3,) m in obj, elsewhere within reach."""
         other = copy.copy(self)
         other._set_centre(centre)
         return other
@@ -96,7 +96,7 @@ class Surface:
         return row_of(v, self.scene.camera.height) * self.scene.readout_s
 
     def attitude_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
-        """R_obj_ball, (1 or h, 3, 3), when each row is exposed in a frame at time `t`; one if that is the same."""
+        """Return R_obj_ball, (1 or h, 3, 3), when each row of a frame at `t` is exposed; one if that is the same."""
         if self.scene.readout_s == 0.0:
             return attitude_at(np.array([t]))
         return attitude_at(t + self.row_time(np.arange(float(self.scene.camera.height))))
@@ -122,19 +122,19 @@ class Surface:
     # ---- discs ----
 
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
-        """Share of pixels that discs cover at time `t` (of the middle row)."""
+        """Return the shares of pixels that discs cover at time `t` (of the middle row)."""
         R, directions = self.attitude_by_row(attitude_at, t), self.scene.disc_directions
         if len(R) == 1:
             turned = directions @ R[0].T
             row, column, disc = self._near_discs(turned)
-            toward, v = turned[disc], row + self._low[1]
+            disc_directions, v = turned[disc], row + self._low[1]
         else:
             row, column, disc = self._near_discs(self._directions_by_row(attitude_at, t, directions)[0])
             v = row + self._low[1]
-            toward = (R[v] @ directions[disc, :, None])[..., 0]
+            disc_directions = (R[v] @ directions[disc, :, None])[..., 0]
         ray, dray = self._ray[row, column], self._dray[row, column]
         hits = self._hits(ray)
-        g, slope = self._edge(hits, ray, dray, toward)
+        g, slope = self._edge_function(hits, ray, dray, disc_directions)
         share = (g > 0.0).astype(float)
         angle = self.scene.disc_angle
         reach = 1.5 * self._pixel / np.maximum(hits.cosine, np.sqrt(self._pixel))  # rad, from the middle to a corner
@@ -142,21 +142,21 @@ class Surface:
             g > np.cos(angle + reach) - np.cos(angle)
         )
         cut = np.abs(g) <= 0.75 * slope.sum(axis=1)
-        for pixels, fine in (
+        for pixels, subpixels in (
             (np.flatnonzero(cut & ~grazing), _SUBPIXELS_AT_EDGE),
             (np.flatnonzero(grazing), _SUBPIXELS_AT_LIMB),
         ):
-            share[pixels] = self._share(ray[pixels], dray[pixels], toward[pixels], fine)
+            share[pixels] = self._covered_share(ray[pixels], dray[pixels], disc_directions[pixels], subpixels)
         keep = share > 0.0
         return Coverage((v * self.scene.camera.width + column + self._low[0])[keep], disc[keep], share[keep])
 
     def _near_discs(self, directions: Array) -> tuple[NDArray[np.intp], ...]:
-        """Row and column from the first pixel of the ball, and disc, of all pixels that may show a disc, (k,) each.
+        """Return row, column and disc, (k,) each, of all pixels that may show a disc, from the ball's first pixel on.
 
         `directions` (n, 3) are those of the discs in `obj`.
         """
         scene = self.scene
-        near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._there)
+        near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._present)
         if len(near) == 0:
             return (np.zeros(0, dtype=np.intp),) * 3
         uv, duv = self._project(directions[near])
@@ -175,21 +175,24 @@ class Surface:
         inside = (row >= 0) & (row < self._ray.shape[0]) & (column >= 0) & (column < self._ray.shape[1])
         return row[inside], column[inside], near[disc[inside]]
 
-    def _share(self, ray: Array, dray: Array, toward: Array, fine: int) -> Array:
-        """Share of the ball's part of pixels that caps around `toward` cover, (k,), from `fine`² parts of each."""
-        grid = pixel_parts(fine)
+    def _covered_share(self, ray: Array, dray: Array, disc_directions: Array, subpixels: int) -> Array:
+        """Return the share of the ball's part of pixels that caps around `disc_directions` cover, (k,).
+
+        It is the mean over `subpixels`² parts of each.
+        """
+        grid = pixel_parts(subpixels)
         n = len(grid)
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
         hits = self._hits(rays)
-        g, slope = self._edge(hits, rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
+        g, slope = self._edge_function(hits, rays, np.repeat(dray, n, axis=0), np.repeat(disc_directions, n, axis=0))
         on_ball = (hits.cosine > 0.0).reshape(-1, n)
         # At the limb g is not linear in the pixel, so the middle of a part represents all of it.
         steep = hits.cosine < np.sqrt(self._pixel)
-        part = np.where(steep, g > 0.0, half_plane(g, slope / fine)).reshape(-1, n) * on_ball
+        part = np.where(steep, g > 0.0, half_plane(g, slope / subpixels)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
     def _hits(self, ray: Array) -> _Hits:
-        """`ray` (k, 3); a nan ray (the lens maps none there) gives nan."""
+        """Return where rays, (k, 3), meet the ball; a nan ray, which the lens does not have, gives nan."""
         R, origin = self.scene.ball_radius, self._origin
         a = np.einsum("ki,ki->k", ray, ray)
         b = ray @ origin
@@ -201,15 +204,18 @@ class Surface:
         n /= np.sqrt(np.einsum("ki,ki->k", n, n))[:, None]
         return _Hits(n, s, length, np.where(on_ball, depth / length / R, 0.0))
 
-    def _edge(self, hits: _Hits, ray: Array, dray: Array, toward: Array) -> tuple[Array, Array]:
-        """Return g of the module's docstring for discs around `toward`, (k,), and |its gradient|, (k, 2) 1/px.
+    def _edge_function(self, hits: _Hits, ray: Array, dray: Array, disc_directions: Array) -> tuple[Array, Array]:
+        """Return g of the module's docstring, (k,), and the absolute values of its derivatives by u and v, (k, 2) 1/px.
 
-        `dray` (k, 3, 2) is the gradient of `ray` in the image.
+        `disc_directions` (k, 3) are unit vectors in obj, and `dray` (k, 3, 2) is the gradient of `ray` in the image. A
+        ray that misses the ball has the values of its nearest point. A nan ray, which the lens does not have, has g -1
+        and slope 0.
         """
-        g = np.einsum("ki,ki->k", hits.normal, toward) - np.cos(self.scene.disc_angle)
-        along = -np.maximum(hits.cosine, 1e-6) * hits.length
-        slide = toward - (np.einsum("ki,ki->k", toward, ray) / along)[:, None] * hits.normal
-        slope = np.einsum("ki,kij->kj", slide, dray) * (hits.depth / self.scene.ball_radius)[:, None]
+        g = np.einsum("ki,ki->k", hits.normal, disc_directions) - np.cos(self.scene.disc_angle)
+        normal_component = -np.maximum(hits.cosine, 1e-6) * hits.length  # of the ray, which comes from outside
+        along_ray = np.einsum("ki,ki->k", disc_directions, ray)
+        tangent_direction = disc_directions - (along_ray / normal_component)[:, None] * hits.normal
+        slope = np.einsum("ki,kij->kj", tangent_direction, dray) * (hits.depth / self.scene.ball_radius)[:, None]
         return np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(slope))
 
     def _directions_by_row(
@@ -251,7 +257,7 @@ class Surface:
         scene, n = self.scene, len(self.scene.disc_directions)
         directions, times = self._directions_by_row(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
-        discs = np.flatnonzero((angle < self._horizon) & self._there)
+        discs = np.flatnonzero((angle < self._horizon) & self._present)
         phase = np.linspace(0.0, 2.0 * np.pi, _POLYGON_CORNERS, endpoint=False)
         around = np.stack([np.cos(phase), np.sin(phase)], axis=1)
         middle = scene.disc_directions[discs]
