@@ -124,16 +124,24 @@ def page(path: Path, end: float) -> None:
 
 
 def setting(*assignments: str, rate: float) -> Callable[[Path, float], None]:
-    """Return a client that sets one of the assignments after another, `rate` times a second."""
+    """Return a client that sets one of the assignments after another, about `rate` times a second.
+
+    At the end it prints how long the replies took.
+    """
 
     def work(path: Path, end: float) -> None:
+        rng, replies = np.random.default_rng(), list[float]()
         with Client(path) as client:
             for assignment in itertools.cycle(assignments):
-                due = time.monotonic() + 1.0 / rate
+                begun = time.monotonic()
+                due = begun + rng.uniform(0.5, 1.5) / rate  # so that requests meet every phase of a frame
                 if due > end:
-                    return
+                    break
                 client.ask("set", assignments=[assignment])
+                replies.append(1e3 * (time.monotonic() - begun))
                 time.sleep(max(0.0, due - time.monotonic()))
+        p50, p99 = np.quantile(replies, (0.5, 0.99))
+        print(f"set {assignments[0]}: {len(replies)} replies: {p50:.1f} ms, {p99:.1f} ms (99 %)", file=sys.stderr)
 
     return work
 

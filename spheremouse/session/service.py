@@ -66,7 +66,7 @@ from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult,
 from spheremouse.session.worker import Worker
 
 _MAX_FRAME_WAIT_S = 0.25  # s; the longest wait for a frame
-_REQUEST_TIME = 0.01  # s; `set` takes 1 to 2 ms
+_REQUEST_TIME = 0.005  # s; `set` takes 1 to 2 ms
 _CHECK_INTERVAL_S = 1.0  # s between two checks of the files, and of the memory and processor in use
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
 _MAX_UNUSABLE_S = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
