@@ -133,6 +133,37 @@ def test_a_frame_that_is_older_than_the_last_of_the_other_camera_is_left_out(fil
     assert play.adapter.trouble_of(1) == ""
 
 
+def test_a_camera_whose_view_does_not_fit_that_of_the_other_is_named(films, rigs):
+    """As if it had been pushed, and had no targets in view that show it."""
+    play = Play(films, rigs)
+    for place in (*[0] * 3, *range(LENGTH), *[LENGTH - 1] * 3):
+        for camera in (0, 1):
+            play.show(camera, place)
+    assert play.adapter.trouble_of(1) == ""
+    for _ in range(35):
+        play.k += 2
+        play.show(0, LENGTH - 1)
+        play.show(1, LENGTH - 1, part=np.s_[::-1])  # upside down
+    assert play.adapter.trouble_of(1).startswith("its discs are not where the other camera has them")
+    assert (play.adapter.trouble_of(0), play.adapter.status) == ("", Status.TRACKING)
+    play.show(1, LENGTH - 1)
+    assert play.adapter.trouble_of(1) == ""
+
+
+def test_both_cameras_are_initialised_again(films, rigs):
+    play, answers = Play(films, rigs), []
+    for camera in (0, 1):
+        play.show(camera, 0)
+    play.adapter.reinitialise(lambda *answer: answers.append(answer), lambda: True)
+    for _ in range(SETTINGS.pose.frames + 2):
+        for camera in (0, 1):
+            play.show(camera, 0)
+    ((error, text),) = answers
+    assert error is None
+    assert text.startswith("camera 1: camera pose: ")
+    assert "; camera 2: camera pose: " in text
+
+
 def test_two_sources_have_two_rigs(tmp_path, rigs):
     for name, rig in zip(("front", "side"), rigs, strict=True):
         save_rig(tmp_path / f"{name}.yaml", rig)

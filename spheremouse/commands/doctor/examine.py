@@ -59,6 +59,12 @@ def examine(
         node = None if plan.source == _NO_CAMERA else node_of(plan.source)
         run = _Run(plan, usual, node, findings)
         yield from run.examine(there, status, seconds, progress)
+        for number, other in enumerate(plan.cameras[1:], 2):
+            second = _Run(other, usual, node_of(other.source), [])
+            for section in second.examine(there, status, seconds, progress):
+                if section.subject != "output":  # that of the run
+                    findings = tuple(f for f in section.findings if f.name != "map")
+                    yield Section(f"{section.subject} {number}", findings)
     node = node if node is not None and node.exists() else None
     yield Section("service", tuple(_guarded("service", service.installed, node)))
     progress("checking the computer")
@@ -109,8 +115,9 @@ class _Run:
         yield Section("output", findings)
 
     def _is_in_use(self, status: StatusReport | None) -> bool:
-        other = None if status is None else node_of(status.source.spec)
-        return self.node is not None and other is not None and self.node.resolve() == other.resolve()
+        specs = [] if status is None else [status.source.spec, *(camera.spec for camera in status.cameras)]
+        taken = [node.resolve() for node in map(node_of, specs) if node is not None]
+        return self.node is not None and self.node.resolve() in taken
 
     def _film(self, seconds: float) -> Iterator[Finding]:
         """Film for some seconds, keep the footage, and yield the findings on source, rate, stamps and controls."""

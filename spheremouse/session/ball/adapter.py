@@ -266,7 +266,17 @@ class BallAdapter(TrackerAdapter):
         return self.cameras[camera].pose_status()
 
     def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
-        self.cameras[0].reinitialise(answer, wanted)
+        asked = [camera for camera in self.cameras if camera.gives_frames] or [self.cameras[0]]
+        answers = list[tuple[str | None, str]]()
+
+        def collect(name: str, error: str | None, text: str) -> None:
+            answers.append((error and name + error, name + text if text else ""))
+            if len(answers) == len(asked):
+                errors, texts = ([part for part in parts if part] for parts in zip(*answers, strict=True))
+                answer("; ".join(errors) or None, "; ".join(texts))
+
+        for camera in asked:
+            camera.reinitialise(partial(collect, self._names[camera.number]), wanted)
 
     def tracker_status(self, seeing: bool) -> TrackerStatus:
         estimate = self._estimate

@@ -24,10 +24,11 @@ from spheremouse.session.ball.search import PoseRecovery, PoseSearch
 from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.control.status import PoseStatus, TargetsStatus
 from spheremouse.session.tracker_adapter import POSE, TARGETS, Do
-from spheremouse.tracker import Frame, Step
+from spheremouse.tracker import Frame, Status, Step
 
 _MIN_TARGETS = 3  # for a pose
 _MAX_MOVING_S = 1.0  # s of a moving camera that are not reported
+_MAX_UNCONFIRMED_S = 3.0  # s of frames that confirm no attitude, after some that did, while the ball is tracked
 _MAX_LATE = 30  # late frames in a row that are not reported
 
 
@@ -56,6 +57,8 @@ class PosedCamera:
         self.waiting = "the ring targets are looked for"  # reason why nothing can be tracked; empty if it can
         self.late = 0  # frames in a row that were older than those of another camera
         self.lag = 0.0  # s, by which the last one was
+        self._seen_at = 0.0  # s, stamp of the last frame
+        self._confirmed_at = np.inf  # s, stamp of the last frame that confirmed an attitude
         self.detected = 0.0  # s, time.monotonic() at the end of the last detection
         self._reinitialisation: _Reinitialisation | None = None
         self.forget_views()
@@ -92,6 +95,14 @@ class PosedCamera:
         if self.late > _MAX_LATE:
             return f"its frames are {1e3 * self.lag:.0f} ms older than those of the other camera: give both one mode"
         part = None if state is None else part_of(state, self.number)
+        if (
+            self._seen_at - self._confirmed_at > _MAX_UNCONFIRMED_S
+            and state is not None
+            and state.status is Status.TRACKING
+        ):
+            return (
+                "its discs are not where the other camera has them: uncover its view; if it was moved, initialise again"
+            )
         moving_since = None if part is None or part.watch is None else part.watch.away
         if part is not None and moving_since is not None and part.shown_at - moving_since > _MAX_MOVING_S:
             return "it was moved, and its new pose is not found: uncover its targets"
@@ -132,6 +143,9 @@ class PosedCamera:
             made = with_pose(before, frame, tracker, sought)
         else:
             made = step(before, frame, tracker, self._note_detected, self._recovery)
+        self._seen_at = frame.stamp
+        if made.estimate.confirmed:
+            self._confirmed_at = frame.stamp
         pose = current_of(made.state, self.number, tracker).pose
         if pose is not self.pose:
             self.pose, self._posed = pose, time.monotonic()
@@ -148,6 +162,11 @@ class PosedCamera:
         else:
             search = PoseSearch(self.rig, self.settings, partial(self._do, POSE))
             self._reinitialisation = _Reinitialisation(search, answer, wanted)
+
+    @property
+    def gives_frames(self) -> bool:
+        """True if a frame came just now."""
+        return time.monotonic() - self.detected < _MAX_MOVING_S
 
     def pose_status(self) -> PoseStatus | None:
         """Return the pose for the status; None while it is not known."""

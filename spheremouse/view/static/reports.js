@@ -61,8 +61,10 @@ export class OutputsPanel {
     fill(this.#table, rows, (row) => el("tr", {}, ...row.map((cell, i) => (i ? el("td", {}, cell) : el("th", { scope: "row" }, cell)))));
     const s = status ?? {};
     const pose = s.pose;
+    const cameras = (s.cameras ?? []).map((/** @type {any} */ c, /** @type {number} */ i) => [
+      `Camera ${i + 1}`, `${c.description || c.spec}: ${c.trouble || `${c.frames ?? 0} frames`}`]);
     const facts = status ? [
-      ["Tracker", s.tracker], ["Source", s.source?.description ?? s.source?.spec], ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
+      ["Tracker", s.tracker], ...(cameras.length ? cameras : [["Source", s.source?.description ?? s.source?.spec]]), ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
       ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
       ["Camera pose", pose?.position_m ? `${pose.position_m.map((/** @type {number} */ v) => formatSigned(v, 3)).join(", ")} m, σ ${(pose.sigma_mm ?? []).map((/** @type {number} */ v) => v.toFixed(1)).join(", ")} mm` : "not known"],
       ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],

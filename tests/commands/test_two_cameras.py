@@ -1,0 +1,71 @@
+"""Two cameras of one ball as a person meets them: rigs that are tied, a run of both, status and doctor."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from control_world import a_status
+from invoking import invoke
+from rich.console import Console
+
+from spheremouse.commands import app
+from spheremouse.commands.ctl.words import status_table
+from spheremouse.commands.doctor import examine, running
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.rig import load_rig, save_rig
+from spheremouse.finding import Verdict
+from spheremouse.geometry.rotation import align, log
+from spheremouse.session.control.status import StatusReport
+from spheremouse.session.run_config import CommandLineOverrides
+
+
+@pytest.mark.slow
+def test_two_recordings_are_tied_and_tracked_as_one(tmp_path):
+    for name, more in (("front", ()), ("side", ("--azimuth", "90", "--late", "0.0167"))):
+        film = str(tmp_path / name)
+        assert invoke(app, "simulate", film, "--motion", "play", "--seconds", "8", "--seed", "3", *more)[0] == 0
+        save_rig(tmp_path / f"{name}.yaml", open_dataset(tmp_path / name).rig)
+    front, side, tied = (tmp_path / name for name in ("front", "side", "tied.yaml"))
+    sources = ["--source", f"dataset:{front}", "--source", f"dataset:{side}"]
+    code, output = invoke(app, "calibrate", "tie", *sources, "--out", str(tied))
+    assert code == 0, output
+    rig, turn = load_rig(tied), open_dataset(side).turn
+    found = align(load_rig(tmp_path / "side.yaml").targets.position, rig.targets.position)
+    assert np.degrees(np.linalg.norm(log(found @ turn.T))) < 0.05
+    table = tmp_path / "motion.csv"
+    rigs = ["--rig", f"{front}.yaml", "--rig", str(tied)]
+    assert invoke(app, "track", str(front), "--beside", str(side), *rigs, "--output", f"csv:{table}")[0] == 0
+    rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    stamps = [float(row["stamp"]) for row in csv.DictReader(rows)]
+    assert len(stamps) > 1.9 * 8 * 30
+    assert stamps == sorted(stamps)
+
+
+def test_status_and_doctor_name_the_camera_that_takes_no_part():
+    part = {"rig": "/rig.yaml", "frames": 7, "restarts": 1, "pose": None}
+    both = [
+        {**part, "spec": "v4l2:/dev/video0", "description": "/dev/video0: MJPG", "trouble": ""},
+        {**part, "spec": "v4l2:/dev/video2", "description": "", "trouble": "no such device"},
+    ]
+    status = StatusReport.read({**a_status(), "cameras": both})
+    out = io.StringIO()
+    Console(file=out, width=100).print(status_table(status))
+    assert "camera 1  /dev/video0: MJPG, 7 frames " in out.getvalue()
+    assert "camera 2  v4l2:/dev/video2, 7 frames: no such device " in out.getvalue()
+    found = {f.name: f for f in running.check(status)}
+    assert [found[f"camera {k}"].verdict for k in (1, 2)] == [Verdict.OK, Verdict.WARNING]
+    assert "no such device" in found["camera 2"].text
+
+
+@pytest.mark.slow
+def test_the_doctor_examines_both_cameras():
+    sources = "source=['synthetic:seconds=1', 'synthetic:seconds=1,azimuth=90']"
+    found = {
+        (section.subject, f.name): f
+        for section in examine.examine(CommandLineOverrides(None, (sources, "output=null")), seconds=0.3)
+        for f in section.findings
+    }
+    for subject in ("picture", "picture 2"):
+        assert found[subject, "targets"].text.startswith("4 of 4 found")
+        assert "seen" in found[subject, "discs"].text
