@@ -117,6 +117,19 @@ def weigh_static(
     two explanations are `apart` standard deviations.
     """
 
+# spheremouse/ball/texture/chart.cpp
+PARTS: int  # of a pixel
+
+def resample_chart(image: _Byte, at: NDArray[np.int32], part: NDArray[np.uint16]) -> _Byte:
+    """Return grey values of an image between four pixels each.
+
+    `at` is the index of the first of the four. `part` counts parts of the way, `PARTS` times those to the next row and
+    those to the next column.
+    """
+
+def contrast_on_chart(light: _Byte, sum: _Narrow, share: _Narrow, far: _Narrow) -> _Narrow:
+    """Return (`light` - `sum` * `share`) / `far`. `far` is that of a chart with fewer pixels."""
+
 # spheremouse/ball/constellation/evidence.cpp
 
 class ObservationModel:

@@ -16,6 +16,7 @@ from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
+from spheremouse.native import kernels
 
 _LEAST_FACING = 0.15  # a pixel there shows seven times as much of the ball as in the middle
 
@@ -57,14 +58,16 @@ class Resampling(NamedTuple):
 
     window: tuple[slice, slice]  # rows and columns of the ball in the image
     width: int  # px, of the mean that stands for a pixel of the chart
-    at: tuple[NDArray[np.int16], NDArray[np.uint16]]  # of each pixel of the chart in the window, as `cv2.remap` has it
+    at: tuple[
+        NDArray[np.int32], NDArray[np.uint16]
+    ]  # of each pixel of the chart in the window, as `resample_chart` has it
 
     def __call__(self, image: Image) -> Image:
         """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size)."""
         part = image[self.window]
         grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-        mean = cv2.blur(grey, (self.width, self.width))
-        return np.asarray(cv2.remap(mean, *self.at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+        mean = np.asarray(cv2.blur(grey, (self.width, self.width)), np.uint8)
+        return kernels.resample_chart(mean, *self.at)
 
 
 def chart_of(rig: Rig, pose: Pose, spacing: float, coarse: int) -> Chart:
@@ -92,8 +95,11 @@ def resampling(chart: Chart, rig: Rig, pose: Pose, width: int) -> Resampling:
     first = np.clip(np.floor(np.nanmin(uv, axis=(0, 1))).astype(int) - width, 0, size - 1)
     last = np.clip(np.ceil(np.nanmax(uv, axis=(0, 1))).astype(int) + width, first, size - 1)
     window = slice(first[1], last[1] + 1), slice(first[0], last[0] + 1)
-    at = np.nan_to_num(uv - first, nan=-1e4).astype(np.float32)
-    return Resampling(window, width, cv2.convertMaps(at, None, cv2.CV_16SC2))  # pyright: ignore
+    place = np.rint(kernels.PARTS * np.clip(np.nan_to_num(uv - first), 0, last - first)).astype(int)
+    (column, row), (right, down) = (place // kernels.PARTS).T, (place % kernels.PARTS).T
+    at, part = row * (last[0] + 1 - first[0]) + column, down * kernels.PARTS + right
+    kept = np.ascontiguousarray(at.T, np.int32), np.ascontiguousarray(part.T, np.uint16)
+    return Resampling(window, width, kept)
 
 
 def _seen_by_a_mean(directions: Array, rig: Rig, pose: Pose, width: int) -> Array:

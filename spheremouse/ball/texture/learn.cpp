@@ -39,63 +39,79 @@ struct Shown {
     }
 };
 
-/// A cell in a frame.
-struct CellSeen {
-    float facing = 0.0f, contrast = 0.0f;  // cosine between ray and normal
-    bool seen = false, stands = false;     // on the chart; the frame's pixels there stand still
+/// The cells of a tile in a frame.
+struct TileSeen {
+    static constexpr int CELLS = TILE * TILE;
+    float facing[CELLS];              // cosine between ray and normal; 0: not on the chart
+    float right[CELLS], down[CELLS];  // part of the way to the next pixel
+    int pixel[CELLS], sample[CELLS];  // the last one before, and the nearest
+
+    /// Find the cells from the directions of one, and of its neighbours less that, in the axes of the chart.
+    [[gnu::always_inline]] void find(const Samples& samples, const Shown& shown, const Vector3f& corner,
+                                     const Vector3f& below, const Vector3f& beside);
 };
 
-/// Return how a frame shows the place in the unit direction `at`, in the axes of the chart.
-inline CellSeen cell_seen(const Samples& samples, const Shown& shown, const Vector3f& at) {
-    CellSeen r;
-    const float h = (at[2] - shown.horizon) * shown.by_height;
-    if (!(h > 0.0f && h < HEIGHTS + 1)) return r;
-    const int k = int(h);
-    const float part = h - float(k);
-    r.facing = shown.facing[k] + part * (shown.facing[k + 1] - shown.facing[k]);
-    if (!(r.facing > FACING)) return r;
-    const float scale = shown.scale[k] + part * (shown.scale[k + 1] - shown.scale[k]);
-    const float x = shown.middle + scale * at[0], y = shown.middle + scale * at[1];
-    if (!(x >= 0.0f && y >= 0.0f && x < float(shown.width - 1) && y < float(shown.height - 1))) return r;
-    const int row = int(y * shown.by_step + 0.5f), column = int(x * shown.by_step + 0.5f);
-    if (row >= samples.rows || column >= samples.columns) return r;
-    const int nearest = row * samples.columns + column;
-    const int i = int(y), j = int(x);
-    const float down = y - float(i), right = x - float(j);
-    const float *a = shown.contrast + i * shown.width + j, *b = a + shown.width;
-    const float upper = a[0] + right * (a[1] - a[0]), lower = b[0] + right * (b[1] - b[0]);
-    r.contrast = upper + down * (lower - upper) - samples.offset[nearest];
-    r.seen = std::isfinite(r.contrast);
-    r.stands = samples.odds[nearest] <= STATIC_ODDS;
-    return r;
+inline void TileSeen::find(const Samples& samples, const Shown& shown, const Vector3f& corner, const Vector3f& below,
+                           const Vector3f& beside) {
+    const float a0 = corner[0], a1 = below[0], a2 = beside[0], b0 = corner[1], b1 = below[1], b2 = beside[1],
+                c0 = corner[2], c1 = below[2], c2 = beside[2];
+    const float last_x = float(shown.width) - 1.001f, last_y = float(shown.height) - 1.001f, horizon = shown.horizon,
+                by_height = shown.by_height, middle = shown.middle, by_step = shown.by_step;
+    const int width = shown.width, rows = samples.rows, columns = samples.columns;
+    const float *scales = shown.scale.data(), *facings = shown.facing.data();
+    for (int k = 0; k < CELLS; k++) {
+        const float i = float(k / TILE), j = float(k % TILE);
+        const float a = a0 + i * a1 + j * a2, b = b0 + i * b1 + j * b2, c = c0 + i * c1 + j * c2;
+        const float inverse = 1.0f / std::sqrt(a * a + b * b + c * c);
+        const float height = (c * inverse - horizon) * by_height;
+        const int m = std::min(std::max(int(height), 0), HEIGHTS);
+        const float part = height - float(m), faces = facings[m] + part * (facings[m + 1] - facings[m]);
+        const float scale = inverse * (scales[m] + part * (scales[m + 1] - scales[m]));
+        const float x = middle + scale * a, y = middle + scale * b;
+        const float u = x > 0.0f ? (x < last_x ? x : last_x) : 0.0f, v = y > 0.0f ? (y < last_y ? y : last_y) : 0.0f;
+        const bool on = (height > 0.0f) & (faces > FACING) & (u == x) & (v == y);
+        const int column = int(u), row = int(v), near_column = int(u * by_step + 0.5f),
+                  near_row = int(v * by_step + 0.5f);
+        facing[k] = on ? faces : 0.0f;
+        right[k] = u - float(column), down[k] = v - float(row);
+        pixel[k] = row * width + column;
+        sample[k] = std::min(near_row, rows - 1) * columns + std::min(near_column, columns - 1);
+    }
 }
 
 /// Learn the cells of a tile from a frame, or forget those that it took from what stands still.
 ///
 /// Return the mean weight in the tile.
-float learn_tile(const Picture& picture, const Samples& samples, const Shown& shown, float most, bool forget, int face,
-                 int tile_row, int tile_column) {
-    float sum = 0.0f;
+WIDE float learn_tile(const Picture& picture, const Samples& samples, const Shown& shown, float most, bool forget,
+                      int face, int tile_row, int tile_column) {
+    TileSeen seen;
     const float row = float(tile_row * TILE), column = float(tile_column * TILE);
     const Vector3f corner = shown.axes * direction_of(face, row, column, picture.n);
-    const Vector3f down = shown.axes * direction_of(face, row + 1.0f, column, picture.n) - corner;
-    const Vector3f right = shown.axes * direction_of(face, row, column + 1.0f, picture.n) - corner;
-    for (int i = 0; i < TILE; i++) {
+    const Vector3f below = shown.axes * direction_of(face, row + 1.0f, column, picture.n) - corner;
+    const Vector3f beside = shown.axes * direction_of(face, row, column + 1.0f, picture.n) - corner;
+    seen.find(samples, shown, corner, below, beside);
+    float now[TileSeen::CELLS], learns[TileSeen::CELLS];
+    int stands[TileSeen::CELLS];
+    for (int k = 0; k < TileSeen::CELLS; k++) {
+        const float *a = shown.contrast + seen.pixel[k], *b = a + shown.width;
+        const float upper = a[0] + seen.right[k] * (a[1] - a[0]), lower = b[0] + seen.right[k] * (b[1] - b[0]);
+        now[k] = upper + seen.down[k] * (lower - upper) - samples.offset[seen.sample[k]];
+        stands[k] = (seen.facing[k] > 0.0f) & (samples.odds[seen.sample[k]] <= STATIC_ODDS);
+        learns[k] = (std::abs(now[k]) < INFINITY) & !stands[k] & !forget ? seen.facing[k] * seen.facing[k] : 0.0f;
+    }
+    float sum = 0.0f;
+    for (int i = 0, k = 0; i < TILE; i++) {
         const size_t at = (size_t(face) * picture.n + tile_row * TILE + i) * picture.n + tile_column * TILE;
         float *value = picture.value + at, *weight = picture.weight + at;
-        for (int j = 0; j < TILE; j++) {
-            const Vector3f d = corner + float(i) * down + float(j) * right;
-            const CellSeen now = cell_seen(samples, shown, d / std::sqrt(d.squaredNorm()));
-            if (forget && now.stands) weight[j] = 0.0f;
-            if (!forget && now.seen && !now.stands) {
-                const float w = now.facing * now.facing;
-                value[j] += (now.contrast - value[j]) * w / (weight[j] + w);
-                weight[j] = std::min(weight[j] + w, most);
-            }
+        for (int j = 0; j < TILE; j++, k++) {
+            const float before = weight[j], w = learns[k];
+            const float after = value[j] + (now[k] - value[j]) * w / (before + w);
+            value[j] = w > 0.0f ? after : value[j];
+            weight[j] = forget & stands[k] ? 0.0f : before + w < most ? before + w : w > 0.0f ? most : before;
             sum += weight[j];
         }
     }
-    return sum / float(TILE * TILE);
+    return sum / float(TileSeen::CELLS);
 }
 
 void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb::tuple chart, nb::handle R_,

@@ -149,15 +149,13 @@ def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tu
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
     light = cv2.bitwise_and(rough, coarse.inside).astype(np.float32)
     far = np.asarray(cv2.multiply(_box(light, coarse.widths[1]), coarse.share[1]) + np.float32(_DARK), np.float32)
-    wide = np.asarray(cv2.resize(far, (fine.chart.size, fine.chart.size)), np.float32)
     mean = float(light.sum() / max(np.count_nonzero(coarse.inside), 1))
-    return (_contrast(fine, grey, wide), _contrast(coarse, rough, far)), mean
+    return (_contrast(fine, grey, far), _contrast(coarse, rough, far)), mean
 
 
 def _contrast(view: TextureView, grey: Image, far: Floats) -> Floats:
-    light = cv2.bitwise_and(grey, view.inside)
-    near = cv2.multiply(_summed_twice(light, view.widths[0]), view.share[0])
-    return np.asarray(cv2.divide(cv2.subtract(light, near, dtype=cv2.CV_32F), far), np.float32)
+    light = np.asarray(cv2.bitwise_and(grey, view.inside), np.uint8)
+    return kernels.contrast_on_chart(light, _summed_twice(light, view.widths[0]), view.share[0], far)
 
 
 def _summed_twice(picture: Image, width: int) -> Floats:

@@ -113,14 +113,38 @@ def test_a_pixel_of_the_chart_shows_its_direction_in_the_mean():
         k, phase = rng.normal(size=3) * 3.0, rng.uniform(0.0, 6.0)
         light = np.zeros(len(uv))
         light[index] = np.sin(found @ k + phase)
-        image = light.reshape(*size, 16).mean(axis=2).astype(np.float32)
+        image = np.rint(127.0 + 120.0 * light.reshape(*size, 16).mean(axis=2)).astype(np.uint8)
         slope = np.cos(d @ k + phase) * (outward @ k)
         plain = cv2.remap(cv2.blur(image, (resample.width,) * 2), middle[None], None, cv2.INTER_LINEAR)[0]
         for shown in (resample(image)[outside], plain):
-            shifts.append((slope @ (shown - np.sin(d @ k + phase)), slope @ slope))
+            shifts.append((slope @ ((shown - 127.0) / 120.0 - np.sin(d @ k + phase)), slope @ slope))
     corrected, uncorrected = (np.divide(*np.sum(shifts[k::2], axis=0)) for k in (0, 1))
     assert uncorrected > 0.02 * fine.pixel
     assert abs(corrected) < 0.3 * uncorrected
+
+
+def test_a_chart_has_the_grey_values_between_pixels_and_its_twin_the_same():
+    rng = np.random.default_rng(0)
+    image, uv = rng.integers(0, 256, (20, 30)).astype(np.uint8), rng.uniform(0.0, (29.0, 19.0), (500, 2))
+    part = np.rint(kernels.PARTS * uv).astype(int)
+    (column, row), (right, down) = (part // kernels.PARTS).T, (part % kernels.PARTS).T
+    at, parts = (row * 30 + column).astype(np.int32), (down * kernels.PARTS + right).astype(np.uint16)
+    found = kernels.resample_chart(image, at[None], parts[None])[0]
+    assert np.abs(found - twins.resample(image, part / kernels.PARTS)).max() < 0.501
+    for wrong in (-1, image.size):
+        with pytest.raises(IndexError, match="at"):
+            kernels.resample_chart(image, np.full_like(at, wrong)[None], parts[None])
+
+
+def test_contrast_on_a_chart_and_its_twin_the_same():
+    rng = np.random.default_rng(1)
+    light, far = rng.integers(0, 256, (24, 24)).astype(np.uint8), rng.uniform(50.0, 200.0, (6, 6)).astype(np.float32)
+    mean, share = (rng.uniform(0.0, 10.0, (24, 24)).astype(np.float32) for _ in range(2))
+    found = kernels.contrast_on_chart(light, mean, share, far)
+    assert np.allclose(found, (light - mean * share) / twins.enlarged(far, 4), atol=1e-5)
+    for given in ((light, mean[1:], share, far), (light, mean, share, far[1:].copy()), (light, mean, share, far[:0])):
+        with pytest.raises(TypeError, match="must have"):
+            kernels.contrast_on_chart(*given)
 
 
 def test_the_coarse_chart_has_the_mean_of_four_by_four_pixels():

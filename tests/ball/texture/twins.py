@@ -125,3 +125,21 @@ def weigh(contrast, d, picture, R, before, noise, settle):
         np.where(differ, np.clip(odds + nats, -12.0, 12.0), odds),
         np.where(known > LEAST_WEIGHT, light, offset),
     )
+
+
+def resample(image, uv):
+    """Grey values of an image, (h, w), between four pixels each, at (n, 2) inside it."""
+    padded = np.pad(image.astype(float), ((0, 1), (0, 1)), mode="edge")
+    (u, v), (right, down) = np.floor(uv).astype(int).T, (uv % 1.0).T
+    upper = padded[v, u] + right * (padded[v, u + 1] - padded[v, u])
+    lower = padded[v + 1, u] + right * (padded[v + 1, u + 1] - padded[v + 1, u])
+    return upper + down * (lower - upper)
+
+
+def enlarged(far, ratio):
+    """Values of a coarse chart, (h, w), between its pixels on one with `ratio` times as many along each edge."""
+    for _ in range(2):
+        n = len(far)
+        at = (np.arange(n * ratio) + 0.5) / ratio - 0.5
+        far = np.array([np.interp(at, np.arange(n), column) for column in far.T])
+    return far
