@@ -1,7 +1,7 @@
 # spheremouse firmware
 """The mouse and its loop: bytes from the serial lines, through protocol.py, into HID reports; the LED says how it is.
 
-The report descriptor is that of docs/protocol.md. Hardware comes in as objects, so that this runs on a desk as well.
+All firmwares have this report descriptor. Hardware comes in as objects, so that this runs on a desk as well.
 """
 
 import protocol

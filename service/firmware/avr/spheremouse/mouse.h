@@ -1,4 +1,4 @@
-// The USB side: an interface of its own beside the core's serial port, with the report descriptor of docs/protocol.md.
+// The USB side: an interface of its own beside the core's serial port, with the report descriptor of protocol.c.
 // The core's HID library will not do: it takes no feature reports, and those carry the resolution multipliers.
 #ifndef SPHEREMOUSE_MOUSE_H
 #define SPHEREMOUSE_MOUSE_H
