@@ -25,7 +25,7 @@ constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
 constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
 constexpr double LOST = 1.5;           // px², variance per part of the rim that does not fit at all
 constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
-constexpr double SHOWN = 0.3;          // least part of the rim beside a cover
+constexpr double SHOWN = 0.15;         // least part of the rim beside a cover: an arc of 54 degrees
 constexpr double SMEARED = 2.0;        // px: a longer way lightens a part of a disc as a cover does
 constexpr double OTHER_SIZE = 3.0;     // standard deviations of the size, beyond which it is something else
 constexpr double NEAR_COVER = 0.02;    // part of the surround that is foreign: a cover is beside the disc
@@ -309,6 +309,10 @@ Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise, doub
     const double misfit = near * MISFIT * (0.95 - 0.1 / fit.minor - q.fits);
     return covariance + (std::max(LOST * q.lost, misfit) + near * shifted * shifted) * Matrix<2>::Identity();
 }
+
+/// Return the part of a circle's area that a chord leaves with a part of its rim.
+double segment(double rim) { return rim - std::sin(2.0 * M_PI * rim) / (2.0 * M_PI); }
+
 /// Fit a disc of known size.
 ///
 /// The fitted place shows better than the expected one whether a cover hides a part of the disc.
@@ -331,10 +335,13 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     }
     const Quality q = quality(fit.pixels, x);
     // the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
-    const double least = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
-    const double area = 3.14159265358979323846 * std::sqrt(fit.disc.shape.determinant()) * size * size;
+    const double rim = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
+    // what a cover hides is left out, so nothing excuses a misfit of the rest: the less shows, the better it must fit
+    const double least = 1.0 - (1.0 - rim) * fit.shown;
+    const double area = M_PI * std::sqrt(fit.disc.shape.determinant()) * size * size;
     Fit result;
-    result.ok = is_deep(x, contrast, photo.noise) && q.fits > least && q.inside > 0.4 * area * fit.shown && moved < 0.1;
+    result.ok = is_deep(x, contrast, photo.noise) && q.fits > least && q.inside > 0.4 * area * segment(fit.shown) &&
+                moved < 0.1;
     result.rim = q.fits * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
     const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();

@@ -187,10 +187,13 @@ def behind_a_strut(which, level, share, turn):
     ],
 )
 def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
-    """NIS of what is kept, over shares of 10 to 90 % of the width: chi-square with 2, not above it."""
-    nis, kept = [], {}
+    """NIS of what is kept, for each share from 10 to 90 % of the width: chi-square with 2, not above it.
+
+    With 30 % of its width before the strut a disc is measured, unless the strut is as dark as the disc.
+    """
+    kept = {}
     for share in (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9):
-        kept[share] = 0
+        nis = []
         for turn in range(3):
             cut = np.arange(turn, len(TRUTH), 3)
             seen = follow(photo(behind_a_strut(cut, level, share, turn), 1.0, turn), DISCS)
@@ -198,6 +201,7 @@ def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
             i, j = match(seen, TRUTH[cut], 8.0).T
             e = seen.centre[i] - TRUTH[cut][j]
             nis += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
-            kept[share] += len(i)
-    assert np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
-    assert kept[0.7] == kept[0.9] == 0
+        kept[share] = len(nis)
+        assert len(nis) == 0 or np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
+    assert kept[0.9] == 0
+    assert kept[0.7] > 0 or level < 10.0
