@@ -318,7 +318,8 @@ class OutputThread:
 
     def _works_again(self) -> None:
         self._log(f"{self._name}: works again")
-        self._drop_queue()
+        if self._paced:  # others get each frame, for example a table whose library took long to load
+            self._drop_queue()
         self._failed = None
 
     def _fail(self, reason: str, error: Exception) -> None:

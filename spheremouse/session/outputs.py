@@ -4,19 +4,21 @@ The first output is the main one: the state of the run, the sums of counts and t
 all methods. Any thread may call `status` and `troubles`. Only `close` waits.
 """
 
+import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 
-from spheremouse.errors import ControlError
+from spheremouse.errors import ControlError, OutputError
 from spheremouse.output import Counts, DescribeRun, Output, Report, open_output, response_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread
 from spheremouse.output.reporter_status import ReporterStatus
+from spheremouse.output.response import COUNTS
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
@@ -166,7 +168,9 @@ class Outputs:
         """Return an output with its thread. Raises ControlError if the system refuses the thread."""
         name, open_it = f"output {spec}" if several else "output", partial(self._open, spec, closed)
         thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
-        return RunOutput(spec, thread, OutputCounter(response_of(spec)))
+        with contextlib.suppress(OutputError):  # the thread logs it
+            return RunOutput(spec, thread, OutputCounter(response_of(spec)))
+        return RunOutput(spec, thread, OutputCounter(COUNTS))
 
     def _open(self, spec: str, closed: Future[bool] | None = None) -> Output:
         """Open an output, once those before are `closed`: they may be the same devices. False: open none."""

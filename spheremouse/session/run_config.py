@@ -214,8 +214,9 @@ def _check_pairs(c: Configuration) -> None:
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
     """Reject a source or output of an unknown kind or with an invalid argument, unless it is the same as `before`.
 
-    A missing device is accepted, since a user may plug it in later. A change between a ball in its frame and a ball in
-    a hand is rejected too.
+    At the start, without `before`, one valid output is enough: opening logs the error of each other one. A missing
+    device is accepted, since a user may plug it in later. A change between a ball in its frame and a ball in a hand is
+    rejected too.
     """
     if before is not None and "wand" in {plan.configuration.tracker} ^ {before.configuration.tracker}:
         raise ConfigurationError(
@@ -229,9 +230,15 @@ def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
             check(sources, "source", each.source, SourceError)
     if len({is_camera(each.source) for each in plan.cameras}) > 1:
         raise ConfigurationError("source: a camera and a recording have no common clock; give two of one kind")
+    errors = list[OutputError]()
     for spec in plan.outputs:
         if before is None or spec not in before.outputs:
-            check(outputs, "output", spec, OutputError)
+            try:
+                check(outputs, "output", spec, OutputError)
+            except OutputError as e:
+                errors.append(e)
+    if errors and (before is not None or len(errors) == len(plan.outputs)):
+        raise errors[0]
 
 
 def beside(file: Path | None, name: str | None) -> Path | None:

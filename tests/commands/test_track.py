@@ -32,8 +32,11 @@ def test_an_output_that_cannot_be_opened_is_one_line_and_the_others_go_on(tmp_pa
     with socket.create_server(("127.0.0.1", 0)) as server:
         taken, file = f"tcp:{server.getsockname()[1]}", tmp_path / "a.txt"
         reason = f"{taken}: Address already in use; stop the other program, or take another port"
-        code, text = invoke(app, "track", CLIP, "--output", taken, "--output", f"text:{file}")
+        wrong = "udp:9,formt=json"
+        words = [word for spec in (taken, wrong, f"text:{file}") for word in ("--output", spec)]
+        code, text = invoke(app, "track", CLIP, *words)
         assert code == 0, text
         assert f"output {taken}: {reason}\n" in text
+        assert f"output {wrong}: {wrong}: unknown key formt; did you mean format or frame?\n" in text
         assert len(file.read_text().splitlines()) > 10
         assert invoke(app, "track", CLIP, "--output", taken) == (2, reason)

@@ -339,6 +339,19 @@ def test_an_output_that_can_be_opened_but_not_written_is_one_line(start):
     until(lambda: even(reporter, given))
 
 
+def test_an_output_of_frames_loses_none_to_a_slow_opening(start):
+    """A table is opened while its library loads."""
+    world = World(door=threading.Event())
+    reporter, given = start(world, open_it=lambda: world.open() and NonBlocking(world))
+    given(3, -2, 1)
+    until(lambda: "it cannot be opened" in str(reporter.failed))
+    given(5, 0, 0)
+    world.door.set()
+    until(lambda: world.sum == (8, -2, 1))
+    assert even(reporter, given)
+    assert reporter.status().unsent == (0, 0, 0)
+
+
 def test_counts_submitted_during_an_opening_are_unsent(start):
     world = World(broken=OutputError("gone"))
     reporter, given = start(world)
