@@ -26,7 +26,7 @@ from spheremouse.output.counts import OutputCounter
 from spheremouse.output.gamepad import Gamepad
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
-from spheremouse.output.response import COUNTS, STICK
+from spheremouse.output.response import COUNTS_RESPONSE, STICK_RESPONSE
 from spheremouse.output.sample import Sample
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.outputs import RunOutput
@@ -136,8 +136,10 @@ def subscriber(spec):
         with ControlServer(Path(rest), ControlSettings(), lambda pending: pending.answer({})) as server:
             yield lambda report, taken: server.submit(report)
         return
-    open_it = {"gamepad": lambda: Gamepad(NullDevice(), STICK), "thread": Thread}.get(kind, lambda: open_output(spec))
-    output = RunOutput(spec, OutputThread(open_it, PointerSettings(), print), OutputCounter(COUNTS))
+    open_it = {"gamepad": lambda: Gamepad(NullDevice(), STICK_RESPONSE), "thread": Thread}.get(
+        kind, lambda: open_output(spec)
+    )
+    output = RunOutput(spec, OutputThread(open_it, PointerSettings(), print), OutputCounter(COUNTS_RESPONSE))
     yield lambda report, taken: output.submit(report, taken, wanted=True)
     output.thread.close()
 

@@ -20,7 +20,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files import registry
 from spheremouse.finding import Finding, ok
 from spheremouse.geometry import Array
-from spheremouse.output.response import COUNTS, Response, split_response
+from spheremouse.output.response import COUNTS_RESPONSE, Response, split_response
 from spheremouse.output.sample import Sample
 from spheremouse.output.third_axis import left_out, sent_as
 from spheremouse.tracker import Estimate
@@ -176,7 +176,7 @@ def full_spec(spec: str) -> str:
 
 def response_of(spec: str) -> Response:
     """Return the response that the run applies to the counts of an output. Raise OutputError if it is invalid."""
-    return COUNTS if _applies_response(spec) else split_response(spec)[1]
+    return COUNTS_RESPONSE if _applies_response(spec) else split_response(spec)[1]
 
 
 def _applies_response(spec: str) -> bool:

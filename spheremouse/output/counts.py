@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Counts, Rate, Report
-from spheremouse.output.response import COUNTS, Response
+from spheremouse.output.response import COUNTS_RESPONSE, Response
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Estimate
 
@@ -194,7 +194,7 @@ class OutputCounter:
     """Counts of one output, by its response. Call `apply` with the report of each frame of a run, in their order."""
 
     def __init__(self, response: Response) -> None:
-        self._response, self._changes = response, response != COUNTS
+        self._response, self._changes = response, response != COUNTS_RESPONSE
         self._fraction, self._remainder = np.zeros(3), Remainder()
 
     def apply(self, report: Report) -> Report:

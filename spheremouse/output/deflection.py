@@ -9,13 +9,13 @@ from collections.abc import Callable
 from math import hypot
 
 from spheremouse.output import Report
-from spheremouse.output.response import COUNTS, Response
+from spheremouse.output.response import COUNTS_RESPONSE, Response
 from spheremouse.tracker import Status
 
 RELEASE_TIME = 0.3  # s without a confirmed frame; a camera at 5 Hz takes 0.2 s
 
 
-def pointer_rate(report: Report, response: Response = COUNTS) -> list[float] | None:
+def pointer_rate(report: Report, response: Response = COUNTS_RESPONSE) -> list[float] | None:
     """Return the ball's angular velocity along the directions of the counts (x, y, third axis), (3,) rad/s.
 
     Its direction is that of the counts' rate, by the frame of `response`, and its length that of the angular velocity.

@@ -15,11 +15,11 @@ from spheremouse.errors import OutputError
 from spheremouse.finding import Finding
 from spheremouse.output import Output, Report, uinput
 from spheremouse.output.deflection import Watchdog, pointer_rate
-from spheremouse.output.response import STICK, Response, parse_response
+from spheremouse.output.response import STICK_RESPONSE, Response, parse_response
 
 NAME = "spheremouse gamepad"
 PRODUCT = 0x4D32
-RESPONSE = STICK
+RESPONSE = STICK_RESPONSE
 FULL_DEFLECTION = 32767
 
 # Linux, input-event-codes.h

@@ -20,7 +20,7 @@ def check_file(path: Path, start: bytes) -> None:
         refuse_other_files(path, start)
 
 
-def cannot_be_written(place: object, error: Exception) -> OutputError:
+def write_error(place: object, error: Exception) -> OutputError:
     """Return the error of a file or stream, named `place`, that the system refuses to open or write."""
     return OutputError(f"{place}: cannot be written: {getattr(error, 'strerror', None) or error}")
 

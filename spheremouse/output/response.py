@@ -19,7 +19,7 @@ _AXES = re.compile(r"(cam:)?((?:-?[xyz]|0){3})")
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Options of an output."""
+    """How an output responds to motion."""
 
     gain: float = 1.0  # factor on the motion
     axes: str = "xyz"  # axes of the motion that become the output's x, y and third axis; `-` reverses one, 0 is none
@@ -54,19 +54,23 @@ class Response:
 
 
 KEYS: dict[str, type[float] | type[str]] = {"axes": str, **dict.fromkeys(_BOUNDS, float)}
-COUNTS = Response()  # of outputs that send counts: without loss
-STICK = Response(dead=0.02)  # of outputs that send rates: a ball at rest must not move a game
+COUNTS_RESPONSE = Response()  # of outputs that send counts: without loss
+STICK_RESPONSE = Response(dead=0.02)  # of outputs that send rates: a ball at rest must not move a game
 
 
 def split_response(spec: str) -> tuple[str, Response]:
-    """Return the output `KIND:ARGUMENT` without these options, and its response. Raise OutputError if it is invalid."""
+    """Split the options of the response (gain, axes, full, dead, curve) from `KIND:ARGUMENT`.
+
+    Return the output without them, and the response, `COUNTS_RESPONSE` if there are none. Raise OutputError for an
+    invalid value.
+    """
     kind, _, argument = spec.partition(":")
     parts = argument.split(",")
     given = [part for part in parts if part.partition("=")[0].strip() in KEYS]
     if not given:
-        return spec, COUNTS
+        return spec, COUNTS_RESPONSE
     rest = ",".join(part for part in parts if part not in given)
-    return f"{kind}:{rest}" if rest else kind, parse_response(",".join(given), spec, COUNTS)
+    return f"{kind}:{rest}" if rest else kind, parse_response(",".join(given), spec, COUNTS_RESPONSE)
 
 
 def parse_response(text: str, spec: str, default: Response) -> Response:

@@ -10,8 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, os_errors_as
 from spheremouse.files import plain_json, safe_files
+from spheremouse.output.log_file import write_error
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status
 
@@ -22,7 +23,7 @@ class RunRecord:
     """The description of one run, with the times at which a ball was lost."""
 
     def __init__(self, path: Path, description: dict[str, Any]) -> None:
-        """Add a run to the file. Raise OSError if it cannot be written, OutputError if it is another file."""
+        """Add a run to the file. Raise OutputError if it cannot be written, or is another file."""
         self._path, self._runs = path, _runs(path)
         self._run: dict[str, Any] = {"start": _now(), "end": None, "verdict": None, **description}
         self._runs.append(self._run)
@@ -44,7 +45,7 @@ class RunRecord:
             self._first, self._last = self._first or sample, sample
 
     def finish(self) -> None:
-        """Complete the description. Raise OSError if it cannot be written."""
+        """Complete the description. Raise OutputError if it cannot be written."""
         self._run |= {
             "end": _now(),
             "verdict": self._verdict(),
@@ -75,7 +76,8 @@ class RunRecord:
 
     def _write(self) -> None:
         text = json.dumps({"schema": 1, "runs": self._runs}, indent=1, allow_nan=False)
-        safe_files.replace(self._path, text.encode() + b"\n")
+        with os_errors_as(OutputError, f"{self._path}: cannot be written"):
+            safe_files.replace(self._path, text.encode() + b"\n")
 
 
 def _runs(path: Path) -> list[dict[str, Any]]:
@@ -86,6 +88,8 @@ def _runs(path: Path) -> list[dict[str, Any]]:
             return found["runs"]
     except FileNotFoundError:
         return []
+    except OSError as e:
+        raise write_error(path, e) from None
     except ValueError:
         pass
     raise OutputError(f"{path}: exists and is no description of runs", "choose another name or remove it")

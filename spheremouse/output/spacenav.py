@@ -13,10 +13,10 @@ from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Output, Report
 from spheremouse.output.deflection import Watchdog, pointer_rate
-from spheremouse.output.response import STICK, Response, parse_response
+from spheremouse.output.response import STICK_RESPONSE, Response, parse_response
 from spheremouse.output.spnav_server import SpnavServer
 
-RESPONSE = STICK
+RESPONSE = STICK_RESPONSE
 FULL_DEFLECTION = 350  # units, of 3Dconnexion's mice
 _REST = [0.0, 0.0, 0.0]
 

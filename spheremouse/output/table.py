@@ -15,7 +15,7 @@ from spheremouse.files.safe_files import is_stream
 from spheremouse.output import DescribeRun, OutputClosed, Report
 from spheremouse.output.batch import BatchOutput
 from spheremouse.output.columns import Column, columns, rows
-from spheremouse.output.log_file import cannot_be_written, refuse_other_files
+from spheremouse.output.log_file import refuse_other_files, write_error
 from spheremouse.output.run_json import RunRecord
 
 
@@ -43,7 +43,7 @@ class Table(BatchOutput):
         self._describe_run: DescribeRun = dict
         self._begun, self._stream = False, is_stream(path)
         super().__init__(at_once=self._stream)
-        self._record: RunRecord | None = None  # a stream has none
+        self._run_record: RunRecord | None = None  # a stream has none
 
     def begin(self, describe_run: DescribeRun) -> None:
         """Take the function that describes the run; the first frame calls it."""
@@ -56,17 +56,20 @@ class Table(BatchOutput):
         except BrokenPipeError:
             raise OutputClosed(str(self._path)) from None
         except OSError as e:
-            raise cannot_be_written(self._path, e) from None
+            raise write_error(self._path, e) from None
 
     def close(self) -> None:
-        """Write the last rows, close the file, and complete the description of the run."""
+        """Write the last rows, close the table, and complete the JSON file beside it.
+
+        Raises OutputError; then the JSON file keeps the end null.
+        """
         try:
             with contextlib.closing(self._writer):
                 self.write_kept()
         except OSError as e:
-            raise cannot_be_written(self._path, e) from None
-        if self._record is not None:
-            self._record.finish()
+            raise write_error(self._path, e) from None
+        if self._run_record is not None:
+            self._run_record.finish()
 
     def _write(self, reports: list[Report]) -> None:
         if not reports:
@@ -74,12 +77,12 @@ class Table(BatchOutput):
         if not self._begun:
             self._writer.begin(columns(reports[0].samples[0].coordinates))
             if not self._stream:
-                self._record = RunRecord(beside(self._path), self._describe_run())
+                self._run_record = RunRecord(beside(self._path), self._describe_run())
             self._begun = True
         self._writer.write([row for report in reports for row in rows(report)])
-        if self._record is not None:
+        if self._run_record is not None:
             for report in reports:
-                self._record.add(report.samples)
+                self._run_record.add(report.samples)
 
 
 def open_table(path: Path, start: bytes, open_writer: Callable[[Path], RowWriter]) -> Table:
@@ -88,7 +91,7 @@ def open_table(path: Path, start: bytes, open_writer: Callable[[Path], RowWriter
         refuse_other_files(path, start)
         return Table(path, open_writer(path))
     except (OSError, ValueError) as e:
-        raise cannot_be_written(path, e) from None
+        raise write_error(path, e) from None
 
 
 def csv_line(row: list[Any]) -> bytes:

@@ -18,11 +18,11 @@ from spheremouse.output import OutputClosed, Report
 from spheremouse.output.batch import BatchOutput
 from spheremouse.output.lines import LineFormat, parse_address
 from spheremouse.output.log_file import (
-    cannot_be_written,
     check_file,
     drop_unfinished_line,
     probe_file,
     refuse_other_files,
+    write_error,
 )
 
 
@@ -56,7 +56,7 @@ class Text(BatchOutput):
             raise OutputClosed(self._name) from None
         except OSError as e:
             self._drop_unwritten()
-            raise cannot_be_written(self._name, e) from None
+            raise write_error(self._name, e) from None
 
     def _drop_unwritten(self) -> None:
         """Send the rest of the buffer to the null device; otherwise Python's flush at its exit prints an error."""
@@ -86,7 +86,7 @@ def open(argument: str) -> Text:
         drop_unfinished_line(path, file.fileno())
         return Text(file, str(path), form, at_once=is_stream(path))
     except (OSError, ValueError) as e:
-        raise cannot_be_written(path, e) from None
+        raise write_error(path, e) from None
 
 
 def check(argument: str) -> None:

@@ -18,7 +18,7 @@ from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
 from spheremouse.output.reporter import OutputThread
 from spheremouse.output.reporter_status import ReporterStatus
-from spheremouse.output.response import COUNTS
+from spheremouse.output.response import COUNTS_RESPONSE
 from spheremouse.session.process.threads import WorkerPool, begin
 
 OUTPUT = "output"  # kind of the pool's work
@@ -170,7 +170,7 @@ class Outputs:
         thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
         with contextlib.suppress(OutputError):  # the thread logs it
             return RunOutput(spec, thread, OutputCounter(response_of(spec)))
-        return RunOutput(spec, thread, OutputCounter(COUNTS))
+        return RunOutput(spec, thread, OutputCounter(COUNTS_RESPONSE))
 
     def _open(self, spec: str, closed: Future[bool] | None = None) -> Output:
         """Open an output, once those before are `closed`: they may be the same devices. False: open none."""

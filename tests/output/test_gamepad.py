@@ -18,7 +18,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.output import Report, full_spec, gamepad, response_of
 from spheremouse.output.counts import MotionSettings, OutputCounter
 from spheremouse.output.deflection import Watchdog, pointer_rate
-from spheremouse.output.response import COUNTS, Response
+from spheremouse.output.response import COUNTS_RESPONSE, Response
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status
 
@@ -208,7 +208,7 @@ def test_a_ball_in_the_dead_zone_moves_no_mouse_and_a_plain_output_gets_the_repo
     report = rolling([0.0, np.radians(8.9), 0.0])._replace(counts=(5, 6, 7))
     made = OutputCounter(Response(dead=0.05)).apply(report)
     assert (made.counts, made.rate) == ((0, 0, 0), (0.0, 0.0, 0.0))
-    assert OutputCounter(COUNTS).apply(report) is report
+    assert OutputCounter(COUNTS_RESPONSE).apply(report) is report
     assert OutputCounter(Response(dead=0.05)).apply(Report((1, 2, 3), None, 0.0)).rate is None
 
 
@@ -218,8 +218,8 @@ def test_a_ball_in_the_dead_zone_moves_no_mouse_and_a_plain_output_gets_the_repo
         ("text:-,gain=2", "text:-", Response(gain=2.0)),
         ("uinput:gain=0.5,third=wheel,axes=y-x0", "uinput:third=wheel", Response(gain=0.5, axes="y-x0")),
         ("null:dead=0.1,curve=1.5,full=90", "null", Response(dead=0.1, curve=1.5, full=90.0)),
-        ("serial:auto", "serial:auto", COUNTS),
-        ("gamepad:gain=2", "gamepad:gain=2", COUNTS),
+        ("serial:auto", "serial:auto", COUNTS_RESPONSE),
+        ("gamepad:gain=2", "gamepad:gain=2", COUNTS_RESPONSE),
         ("null:axes=cam:y0x", "null", Response(axes="y0x", in_camera=True)),
     ],
 )

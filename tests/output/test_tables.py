@@ -13,6 +13,7 @@ from tables import frame, full_disk, write_and_be_killed
 from spheremouse.errors import OutputError
 from spheremouse.output import batch, open_output, parquet
 from spheremouse.output.columns import columns, rows
+from spheremouse.output.table import beside
 from spheremouse.tracker import Status
 
 
@@ -59,9 +60,21 @@ def test_a_second_run_takes_no_row_from_the_first(kind, tmp_path):
     assert sequences(kind, tmp_path / "a") == [1, 2]
 
 
+@pytest.mark.parametrize("frames", [0, 1])
+def test_a_description_that_cannot_be_written_is_one_line_with_its_own_path(kind, tmp_path, frames):
+    path = tmp_path / f"a.{kind}"
+    output = open_output(f"{kind}:{path}").__enter__()
+    for k in range(frames):
+        output.send(frame(k))
+    beside(path).unlink(missing_ok=True)
+    beside(path).mkdir()
+    with pytest.raises(OutputError, match=r"a\.\w+\.json: (cannot be written: Is|exists and is|is a)"):
+        output.close() if frames else output.send(frame(0))
+
+
 @pytest.mark.parametrize("size", [100, 20_000, 30_001])
 def test_a_full_disk_is_one_line_and_leaves_whole_rows(kind, tmp_path, size):
-    with full_disk(size), pytest.raises(OutputError, match=r"a\.\w+: cannot be written: File too large$"):
+    with full_disk(size), pytest.raises(OutputError, match=r"a\.[\w.]+: cannot be written: File too large$"):
         written(kind, tmp_path / f"a.{kind}", *(frame(k) for k in range(1, 100)))
     found = written(kind, tmp_path / f"a.{kind}", frame(999))
     assert found == [*range(1, len(found)), 999]
