@@ -28,9 +28,14 @@ _MAX_UNNOTICED_TURN_RAD = 0.02  # rad, by which a camera may seem to turn the ba
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 
 
-# The tracker at another pose, and what that adds to the covariance, (6, 6); None: a new pose.
-Moved = tuple[Tracker, Array | None]
-Seek = Callable[[Frame, Tracker], Moved | None]
+class MovedTracker(NamedTuple):
+    """A tracker at another pose of its camera."""
+
+    tracker: Tracker
+    added_covariance: Array | None = None  # (6, 6), added to that of the old pose; None: the pose is a new one
+
+
+Seek = Callable[[Frame, Tracker], MovedTracker | None]
 
 
 class CameraCheck(NamedTuple):
@@ -38,10 +43,10 @@ class CameraCheck(NamedTuple):
 
     watch: CameraMonitor
     moving: bool = False  # the camera has no pose yet
-    moved: Moved | None = None  # it has a new one
+    moved: MovedTracker | None = None  # it has a new one
 
 
-def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
+def seek_by_colour(frame: Frame, tracker: Tracker) -> MovedTracker | None:
     """Return the tracker at the pose from the whole image; None without one, or at the same pose."""
     rig, settings = tracker.rig, tracker.settings
     if frame.image.ndim != 3:
@@ -50,7 +55,8 @@ def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
         seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
         pose = find_pose([seen], rig, frame.image).pose
         shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
-        return (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX) else None
+        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+        return MovedTracker(build(rig, pose, settings)) if moved else None
     except PoseError:
         return None
 
@@ -156,7 +162,7 @@ def check_targets(
     return CameraCheck(watch)
 
 
-def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
+def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> MovedTracker | None:
     """Return the tracker at the pose from the targets' shifts, (n, 2) px; None if no pose fits them.
 
     The shifts come from the rings, or else from the correlation. Also returns the addition to the pose's covariance,
@@ -167,7 +173,7 @@ def _pose_by_shifts(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | 
         found = watching.moved_pose(measured, rig, tracker.pose, sigma)
         if found is not None:
             try:
-                return build(rig, found[0], settings), found[1]
+                return MovedTracker(build(rig, found[0], settings), found[1])
             except PoseError:
                 continue
     return None

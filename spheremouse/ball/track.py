@@ -30,7 +30,7 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.filters.so3_state import PLACED, with_false_turn
+from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
@@ -215,7 +215,7 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
     away = stamp if before is None else min(before, stamp)
     filtered = state.filter
     if before is None:
-        filtered = with_false_turn(filtered, camera_moved.apparent_turn(state.watch.shift, tracker))
+        filtered = with_uncertain_turn(filtered, camera_moved.apparent_turn(state.watch.shift, tracker))
     predicted = tracker.filter.predict(filtered, stamp)
     state = state._replace(
         filter=replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden),

@@ -204,12 +204,12 @@ class Capture(threading.Thread):
         """Number of times that frames resumed after they had stopped."""
         return max(0, self._streams - 1)
 
-    def reopen(self, open_camera: OpenCamera) -> None:
+    def reopen_with(self, open_camera: OpenCamera) -> None:
         """Replace the function that opens the camera, and reopen it."""
         self._open, self._failures, self.description = open_camera, 0, ""
         self._wakeup.set()
 
-    def again(self) -> None:
+    def reopen(self) -> None:
         """Reopen the camera because its frames are unusable. Does nothing for a recording."""
         if not self._recorded:
             self._wakeup.set()

@@ -103,10 +103,10 @@ class Captures:
                 logged = text
             self._troubles[k] = _Trouble(text, since, logged)
 
-    def again(self) -> None:
+    def reopen(self) -> None:
         """Reopen the cameras because their frames are unusable."""
         for capture in self.each:
-            capture.again()
+            capture.reopen()
 
     def close(self) -> None:
         """End the threads and release the cameras."""

@@ -74,14 +74,14 @@ def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[di
 
 
 def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:
-    """Raise ControlError if an assignment could not take effect."""
+    """Raise ControlError for a setting that is read at the start only, and for `map` under --no-map."""
     sections = {key_of(a).partition(".")[0] for a in assignments}
     if at_start := sorted(sections.intersection(AT_START)):
         raise ControlError(
             f"{', '.join(at_start)}: read at the start only; write it into the configuration file and start again"
         )
     if overrides.no_map and "map" in sections:
-        raise ControlError("map: this run keeps none; start again without --no-map")
+        raise ControlError("map: this run keeps no map; start again without --no-map")
 
 
 def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
@@ -193,7 +193,7 @@ class ConfigReloader:
         self._change(self.plan.configuration, self.overrides.changes, assignments, pending)
 
     def profile(self, name: str | None, pending: PendingRequest) -> None:
-        """Replace all changes by those of a profile of the configuration file; None lists the profiles.
+        """Replace all changes by `set` and `profile` by those of a profile; with None answer with all profiles.
 
         Raises ControlError for an unknown profile.
         """
@@ -204,7 +204,7 @@ class ConfigReloader:
             hint = nearest(name, list(profiles)) if profiles else "write `profiles:` into the configuration file"
             raise ControlError(f"profile: there is no profile {name!r}", hint)
         else:
-            self._change(self.plan.unchanged, (), profiles[name], pending)
+            self._change(self.plan.without_changes, (), profiles[name], pending)
 
     def _change(
         self, configuration: Configuration, changes: tuple[str, ...], assigned: tuple[str, ...], pending: PendingRequest
@@ -253,10 +253,10 @@ class ConfigReloader:
     def _saved(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
         """Count the changes as read from the file."""
         left = tuple(change for change in self.overrides.changes if change not in changes)
-        self.overrides, unchanged = replace(self.overrides, changes=left), self.plan.unchanged
+        self.overrides, without_changes = replace(self.overrides, changes=left), self.plan.without_changes
         for change in changes:
-            unchanged = config.override(unchanged, change, label="")
-        self.plan = replace(self.plan, unchanged=unchanged, saved=latest((*self.plan.saved, *changes)))
+            without_changes = config.override(without_changes, change, label="")
+        self.plan = replace(self.plan, without_changes=without_changes, saved=latest((*self.plan.saved, *changes)))
         self._files[path] = stamps_of(self.overrides, self.plan)[path]
         text = f"{path}: saved: {', '.join(changes)}" if changes else f"{path}: nothing was set that is not in it"
         self._log(text)

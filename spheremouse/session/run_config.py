@@ -105,7 +105,7 @@ class RunConfig:
     map_path: Path | None  # None: no map is kept
     balls: Balls = field(default_factory=Balls)  # in a hand; none: the source's own, or Grzonka's
     ball_paths: tuple[Path, ...] = ()
-    unchanged: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
+    without_changes: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
     saved: tuple[str, ...] = ()  # KEY=VALUE, by the service
     notice: str = ""  # what was saved, or why it is ignored
     second: "SecondCamera | None" = None
@@ -159,7 +159,7 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
 
 def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     c = config.in_force(overrides.file, (*saved, *overrides.assignments), Configuration)
-    c = unchanged = _with_folder(c, overrides.file)
+    c = without_changes = _with_folder(c, overrides.file)
     for change in overrides.changes:
         c = config.override(c, change, label="")
     c = _with_folder(c, overrides.file)
@@ -193,7 +193,7 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         raise ConfigurationError(f"source: {source} is given twice; name another camera, or leave one out")
     second = SecondCamera(more[0], rigs[1], rig_paths[1]) if more else None
     return RunConfig(
-        *(c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, unchanged, saved),
+        *(c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, without_changes, saved),
         second=second,
     )
 

@@ -61,12 +61,12 @@ from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.run_description import describe_run
 from spheremouse.session.setup import Setup
 from spheremouse.session.state_monitor import StateMonitor
-from spheremouse.session.timing import NEXT_FRAME, Arrivals, CpuShare, SleepMonitor, memory_mb
+from spheremouse.session.timing import NEXT_FRAME_S, Arrivals, CpuShare, SleepMonitor, memory_mb
 from spheremouse.session.tracker_adapter import MAP, POSE, TARGETS, FrameResult, TrackerAdapter
 from spheremouse.session.worker import Worker
 
 _MAX_FRAME_WAIT_S = 0.25  # s; the longest wait for a frame
-_REQUEST_TIME = 0.005  # s; `set` takes 1 to 2 ms
+_REQUEST_TIME_S = 0.005  # s; `set` takes 1 to 2 ms
 _CHECK_INTERVAL_S = 1.0  # s between two checks of the files, and of the memory and processor in use
 _PAUSED = "by `spheremouse ctl pause`; `resume` ends it"
 _MAX_UNUSABLE_S = 5.0  # s of frames that cannot be used, after which the daemon opens the camera again
@@ -187,16 +187,19 @@ class Daemon:
     # ---- the loop ----
 
     def _loop(self, stopping: SignalHandler) -> None:
-        """Work on frames. Requests come after a frame or well before the next one, so that no frame waits for one."""
+        """Track frames, and run requests when they delay none.
+
+        That is after a frame, well before the next one, if it is late, or after the last.
+        """
         now = time.monotonic()
         while not (stopping.asked or self._ending):
-            arrival = self._ring.take(NEXT_FRAME if self._arrivals.expected(now) else _MAX_FRAME_WAIT_S)
+            arrival = self._ring.take(NEXT_FRAME_S if self._arrivals.on_time(now) else _MAX_FRAME_WAIT_S)
             now, finished = time.monotonic(), self._captures.finished
             if arrival is not None:
                 self._work(arrival, now)
             self._update_state(now)
-            frame_overdue = not self._arrivals.expected(now)
-            if arrival is not None or finished or frame_overdue or self._arrivals.time_left(now) > _REQUEST_TIME:
+            frame_overdue = not self._arrivals.on_time(now)
+            if arrival is not None or finished or frame_overdue or self._arrivals.time_left(now) > _REQUEST_TIME_S:
                 self._requests.run(self._handle)
             if arrival is None and finished:
                 if self._captures.failure is not None:
@@ -264,12 +267,16 @@ class Daemon:
             self._archive.interrupted(self._monitor.reason)
 
     def _do_periodic_work(self, now: float) -> None:
-        """Do periodic work: watchdog, files, garbage collection."""
+        """Feed the watchdog, flush the log and collect garbage.
+
+        Each second also measure, reopen a camera whose frames are unusable, reload changed files, and drop requests
+        whose clients have left.
+        """
         captures, worker = self._captures, self._worker
         silent = self._arrivals.silent(now)
         self._notifier.progress(("attempts", captures.attempts) if silent else ("frames", worker.seen))
         self._log.flush()
-        self._quiet.rest(now)
+        self._gc_pause.collect_if_due(now)
         if len(captures.each) > 1:
             captures.log_changes(now, map(self._trouble_of, range(len(captures.each))))
         if now - self._checked_at < _CHECK_INTERVAL_S:
@@ -277,13 +284,17 @@ class Daemon:
         self._checked_at = now
         self._pictures.expire(now)
         self._cpu.look(now)
-        worker.look()
-        if worker.trouble and not captures.trouble and now - max(worker.good, self._reopened_at) > _MAX_UNUSABLE_S:
+        worker.update_stages()
+        if (
+            worker.trouble
+            and not captures.trouble
+            and now - max(worker.last_good_at, self._reopened_at) > _MAX_UNUSABLE_S
+        ):
             self._reopened_at = now
-            captures.again()
+            captures.reopen()
         if self._reloader.outdated:
             self._requests.run_now(PendingRequest(Request(command="reload"), quiet=True), self._reloader.reload)
-        self._archive.give_up()
+        self._archive.cancel_abandoned()
 
     # ---- beginning and end ----
 
@@ -300,7 +311,7 @@ class Daemon:
         """Request real-time scheduling, and start the camera."""
         self._monitor.starting = ""
         self._scheduling = realtime.prepare(self._realtime)
-        self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
+        self._gc_pause = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._captures.start(self._claim)
         self._arrivals.begin()
 
@@ -455,7 +466,7 @@ class Daemon:
             self._worker.adapter = change()
             if "source" in changed:
                 for capture, each in zip(self._captures.each, plan.cameras, strict=True):
-                    capture.reopen(self._camera(each))
+                    capture.reopen_with(self._camera(each))
             if "pointer" in changed and "output" not in changed:
                 self._outputs.change(plan.configuration.pointer)
             return ended

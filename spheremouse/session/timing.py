@@ -11,7 +11,7 @@ import numpy as np
 
 from spheremouse.capture.fetch import MAX_FRAME_GAP_S
 
-NEXT_FRAME = 0.05  # s from one frame to the next, at 20 frames/s
+NEXT_FRAME_S = 0.05  # from one frame to the next, at 20 frames/s
 _SHORTEST_SLEEP = 0.1  # s
 _MAX_FRAMES = 10_000  # that are kept: some minutes
 
@@ -103,9 +103,9 @@ class Arrivals:
         self._last = now
         self._times.add(0.0, now)
 
-    def expected(self, now: float) -> bool:
+    def on_time(self, now: float) -> bool:
         """Return True if the next frame of a camera with 20 frames/s or more is not yet late."""
-        return now - self._last < NEXT_FRAME
+        return now - self._last < NEXT_FRAME_S
 
     def time_left(self, now: float) -> float:
         """Return the time until the next frame, s, by the mean interval of the last second; nan if that is unknown."""

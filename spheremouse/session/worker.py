@@ -29,14 +29,14 @@ class Worker:
         self.frames_of = [0] * cameras  # frames of each camera that were tracked
         self.trouble = ""  # reason why no frame can be used
         self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
-        self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each at the last look
+        self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each, by `update_stages`
         self.untracked: Frame | None = None  # the present one, if it was decoded and not tracked
         self.unfit = False  # frames arrive that cannot be used, for example of another size
         self.frames = 0  # tracked
         self.seen = 0  # processed
         self.damaged = 0
         self.lost = 0  # times
-        self.good = time.monotonic()  # when a frame last could be used
+        self.last_good_at = time.monotonic()  # when a frame last could be used
         self._as_contiguous = ContiguousBuffer()
         self._faults: deque[float] = deque(maxlen=_MAX_FAULTS)
 
@@ -59,8 +59,8 @@ class Worker:
             made = self.adapter.follow(frame)
         except DamagedFrameError as e:
             self.damaged += 1
-            if begun - self.good > _MAX_DAMAGED_S:
-                self.trouble = f"nothing but damaged frames for {begun - self.good:.0f} s ({e})"
+            if begun - self.last_good_at > _MAX_DAMAGED_S:
+                self.trouble = f"nothing but damaged frames for {begun - self.last_good_at:.0f} s ({e})"
         except SourceError as e:
             self.refused[arrival.camera] = str(e)
             if len(self.refused) == len(self.frames_of):
@@ -69,7 +69,7 @@ class Worker:
             if self._too_many_faults(begun):
                 raise
         else:
-            self.trouble, self.good = "", decoded
+            self.trouble, self.last_good_at = "", decoded
             self.refused.pop(arrival.camera, None)
             if made is not None:
                 self.untracked = None
@@ -81,7 +81,7 @@ class Worker:
         """Forget the frame before its buffer is released."""
         self.untracked = None
 
-    def look(self) -> None:
+    def update_stages(self) -> None:
         """Update the times of the stages."""
         self.stages = {
             name: (times.recent_quantile(0.5), times.recent_quantile(0.99)) for name, times in self.times.items()

@@ -209,9 +209,9 @@ def test_the_camera_is_exchanged_even_while_the_next_attempt_is_waited_for(monke
     capture = world.capture()
     capture.start()
     until(lambda: capture.trouble == "not there")
-    capture.reopen(other.open)
+    capture.reopen_with(other.open)
     until(lambda: other.opened == 1 and capture.trouble == "")
-    capture.again()
+    capture.reopen()
     until(lambda: other.opened == 2)
     assert other.closed == 1
     capture.close()

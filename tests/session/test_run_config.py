@@ -120,7 +120,7 @@ def test_saved_settings_come_between_configuration_and_command_line_and_a_broken
     motion = plan.configuration.motion
     assert (motion.scale_x, motion.scale_y, motion.scale_z) == (3.0, 2.0, 4.0)
     assert (plan.saved, plan.configuration) == (
-        ("motion.scale_x=3", "motion.scale_z=3", "discs.masks=[[1, 2, 3, 4]]"), plan.unchanged,
+        ("motion.scale_x=3", "motion.scale_z=3", "discs.masks=[[1, 2, 3, 4]]"), plan.without_changes,
     )  # fmt: skip
     unsaved = read_run_config(replace(overrides, saved=None))
     for text in (
@@ -170,7 +170,7 @@ def test_what_the_command_line_said_is_known_by_its_keys():
 @pytest.mark.parametrize(
     ("assignment", "why"),
     [
-        ("map=a.yaml", "map: this run keeps none"),
+        ("map=a.yaml", "map: this run keeps no map"),
         ("metrics.port=9", "metrics: read at the start only"),
         ("realtime=off", "realtime: read at the start only"),
     ],

@@ -106,7 +106,7 @@ def test_a_frame_that_is_none_changes_nothing(film):
     assert play(error=DamagedFrameError("half")) is None
     assert play.worker.damaged == 1
     assert play.worker.trouble == ""  # one is nothing
-    play.worker.good -= 10.0
+    play.worker.last_good_at -= 10.0
     play(error=DamagedFrameError("half"))
     assert play.worker.trouble.startswith("nothing but damaged frames for 10 s (half)")
     assert play.adapter.state is state

@@ -435,21 +435,22 @@ def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3Sta
     )
 
 
-def with_false_turn(state: So3State, turn: Array) -> So3State:
-    """Return the state whose motion may include any part of a `turn`, (3,) rad, that the ball did not make.
+def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
+    """Return the state with more covariance: any part of `turn`, (3,) rad, in obj, may be the camera's.
 
-    The camera moved by as much, for a time that is unknown.
+    It was seen within about `_FALSE_TURN_S`, so the rate may be wrong by turn / T, the acceleration by turn / T². Means
+    stay.
     """
-    effects = [np.outer(turn, turn) / _FALSE_TURN_S ** (2 * k) for k in range(3)]
+    added_covariances = [np.outer(turn, turn) / _FALSE_TURN_S ** (2 * k) for k in range(3)]
     joint = state.joint.copy()
-    for k, effect in enumerate(effects):
-        joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += effect
+    for k, added in enumerate(added_covariances):
+        joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += added
     if state.modes is None:
         return replace(state, joint=joint)
     means, covariances, weights = state.modes
     covariances = covariances.copy()
-    covariances[:, :3, :3] += effects[1]
-    covariances[:, 3:, 3:] += effects[2]
+    covariances[:, :3, :3] += added_covariances[1]
+    covariances[:, 3:, 3:] += added_covariances[2]
     return replace(state, joint=joint, modes=(means, covariances, weights))
 
 

@@ -121,41 +121,42 @@ class Controls:
         for control in self.known.values():
             if control.name == name:
                 return control
-        raise SourceError(
-            f"{self.path}: no control {name}; {nearest(name, [c.name for c in self.known.values()])} ({self._names()})"
-        )
+        advice = nearest(name, [c.name for c in self.known.values()], otherwise="name one of these")
+        raise SourceError(f"{self.path}: no control {name}; {advice} ({self._names()})")
 
     def _names(self) -> str:
         names = sorted(c.name for c in self.known.values() if not c.fixed)
         more = ", ..." if len(names) > _MAX_NAMES else ""
         return f"it has {', '.join(names[:_MAX_NAMES])}{more}" if names else "it has none"
 
-    def _read(self, which: int) -> int | None:
-        return get_control(self.fd, which) if which in self.known else None
+    def _read(self, control_id: int) -> int | None:
+        return get_control(self.fd, control_id) if control_id in self.known else None
 
-    def _set_if_present(self, which: int, value: int) -> None:
+    def _set_if_present(self, control_id: int, value: int) -> None:
         """Set a control if it exists and has another value."""
-        control = self.known.get(which)
-        if control is not None and not control.fixed and self._read(which) != value:
+        control = self.known.get(control_id)
+        if control is not None and not control.fixed and self._read(control_id) != value:
             self._set_and_read(control, value, control.name)
 
-    def _set_required(self, which: int, value: int, what: str, shown: Callable[[int], str] = str) -> int:
-        """Set the control that a setting `what` needs, and return the value that the camera reports.
+    def _set_required(self, control_id: int, value: int, setting: str, shown: Callable[[int], str] = str) -> int:
+        """Set the control that a `setting` needs, and return the value that the camera reports; it may differ.
 
         `shown` formats a value for an error. Raises SourceError if the camera has no such control, or refuses.
         """
-        control = self.known.get(which)
+        control = self.known.get(control_id)
         if control is None:
-            raise SourceError(f"{self.path}: {what}: the camera has no such control; leave it out ({self._names()})")
-        return self._set_and_read(control, value, what, shown)
+            raise SourceError(
+                f"{self.path}: {setting}: the camera has no such control ({self._names()}); leave the setting out"
+            )
+        return self._set_and_read(control, value, setting, shown)
 
-    def _set_and_read(self, control: Control, value: int, what: str, shown: Callable[[int], str] = str) -> int:
+    def _set_and_read(self, control: Control, value: int, setting: str, shown: Callable[[int], str] = str) -> int:
         """Set a control and return the value that the camera reports."""
         if control.fixed:
-            raise SourceError(f"{self.path}: {what}: cannot be set on this camera; leave it out")
+            raise SourceError(f"{self.path}: {setting}: cannot be set on this camera; leave it out")
         if not control.minimum <= value <= control.maximum:
             raise SourceError(
-                f"{self.path}: {what}: {shown(value)} is not possible; "
+                f"{self.path}: {setting}: {shown(value)} is not possible; "
                 f"the camera takes {shown(control.minimum)} to {shown(control.maximum)}"
             )
         try:
@@ -167,7 +168,7 @@ class Controls:
             if e.errno in (errno.ENODEV, errno.EPROTO, errno.ETIMEDOUT):  # EIO and EPIPE may be a refusal
                 raise
             raise SourceError(
-                f"{self.path}: {what}: the camera does not take {shown(value)} ({e.strerror}); choose another value"
+                f"{self.path}: {setting}: the camera does not take {shown(value)} ({e.strerror}); choose another value"
             ) from None
 
     def _value(self, control: Control, text: str) -> int:

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import Generic, TypeVar
 
-from spheremouse.ball.camera_moved import Moved, seek_by_colour
+from spheremouse.ball.camera_moved import MovedTracker, seek_by_colour
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import Absence
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
@@ -106,15 +106,16 @@ class PoseRecovery:
     """Searches the targets by their colours after the camera was moved, while the ball is tracked."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
-        self._search = _Search[Moved | None](elsewhere)
+        """`elsewhere` runs a search, in the caller's thread or another one."""
+        self._search = _Search[MovedTracker | None](elsewhere)
         self._tracker: Tracker | None = None  # in use when the search began
 
-    def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
-        """Start a search of a frame, unless one runs or its result waits. Return the result if it is complete at once.
+    def __call__(self, frame: Frame, tracker: Tracker) -> MovedTracker | None:
+        """Begin a search for the moved camera, unless one runs or its result waits.
 
-        That is so if `elsewhere` works in the caller's thread. Otherwise return None, and `found` returns the pose in a
-        later frame. The result is None also if the search finds nothing. The search keeps a copy of the image, since
-        the camera uses its buffer again; a tracker never changes.
+        Return its result if `elsewhere` (see `__init__`) ran it at once: the tracker at the new pose, and what that
+        adds to the covariance. Otherwise return None; `found` gives the pose in a later frame. A tracker is immutable,
+        so only the image is copied.
         """
         if not self._search.idle:
             return None
@@ -126,7 +127,7 @@ class PoseRecovery:
     def found(self, tracker: Tracker | None) -> Pose | None:
         """Return the pose of a complete search; None if there is none, or if it began with another tracker."""
         moved = self._search.take()
-        return None if moved is None or tracker is not self._tracker else moved[0].pose
+        return None if moved is None or tracker is not self._tracker else moved.tracker.pose
 
 
 class BallMessages:

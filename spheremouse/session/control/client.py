@@ -232,12 +232,13 @@ class Client:
         return f"no daemon listens at {' or '.join(str(p) for p in socket_file.candidates())}"
 
     def _permission_hint(self) -> str:
-        import grp  # not on every system
+        """Return what a user does who may not open the socket."""
+        import grp  # not on Windows, which gets no further than `_connected`
 
         try:
-            found = self._path.stat()
-            if found.st_mode & 0o060 == 0o060:
-                return f"join the group {grp.getgrgid(found.st_gid).gr_name} and log in again, or use sudo"
+            status = self._path.stat()
+            if status.st_mode & 0o060 == 0o060:
+                return f"join the group {grp.getgrgid(status.st_gid).gr_name} and log in again, or use sudo"
         except (OSError, KeyError):
             pass
         return "use sudo, or run this as the daemon's user"

@@ -65,7 +65,7 @@ class GcPause:
     whole collection takes less than a millisecond.
     """
 
-    _EVERY = 5.0  # s
+    _INTERVAL_S = 5.0
 
     def __init__(self) -> None:
         self._due = 0.0
@@ -75,10 +75,10 @@ class GcPause:
         gc.freeze()
         gc.disable()
 
-    def rest(self, now: float) -> None:
+    def collect_if_due(self, now: float) -> None:
         """Collect garbage if it is due, since no frame waits."""
         if now >= self._due:
-            self._due = now + self._EVERY
+            self._due = now + self._INTERVAL_S
             gc.collect()
 
     def close(self) -> None:

@@ -48,7 +48,7 @@ class Archive:
 
     def keep(self, made: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
         """Copy the image of a tracked frame for recording and snapshot; `counts` returns the sum of the sent counts."""
-        self.give_up()
+        self.cancel_abandoned()
         first = made.frame.camera == 0  # a recording is of one camera
         if self._recorder is not None and first and self._recorder.add(made.frame, adapter.subject):
             self._bare &= made.frame.image.ndim != 3
@@ -57,12 +57,12 @@ class Archive:
 
     def look(self, frame: Frame, adapter: TrackerAdapter) -> None:
         """Copy the image of a frame that was not tracked for a snapshot."""
-        self.give_up()
+        self.cancel_abandoned()
         self._take_snapshot(lambda everything: adapter.sight(frame, everything))
 
     def interrupted(self, reason: str) -> None:
         """Refuse all requests that wait for a frame, since no frames come."""
-        self.give_up()
+        self.cancel_abandoned()
         self._answer_begun()  # it begins when they come again
         if self._wanted is not None:
             (_, pending, _), self._wanted = self._wanted, None
@@ -74,7 +74,7 @@ class Archive:
         if self._recorder is not None:
             self._recorder.stop()
 
-    def give_up(self) -> None:
+    def cancel_abandoned(self) -> None:
         """Cancel requests without a client that have no frame yet."""
         if self._wanted is not None and self._wanted[1].cancelled:
             (_, pending, _), self._wanted = self._wanted, None

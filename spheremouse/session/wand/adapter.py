@@ -52,11 +52,11 @@ class WandAdapter(TrackerAdapter):
         self.status = Status.SEARCHING
         self.untracked = 0  # each frame is tracked
         self._set_tracker(plan, make(plan))
-        self._messages = WandMessages(self.points, self.tracker.balls[self.points].name)
+        self._messages = WandMessages(self.pointing_index, self.tracker.balls[self.pointing_index].name)
 
     def _set_tracker(self, plan: RunConfig, tracker: WandTracker) -> None:
-        self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
-        self._plan, self.tracker = plan, replace(tracker, points=self.points)
+        self.pointing_index = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
+        self._plan, self.tracker = plan, replace(tracker, points=self.pointing_index)
         self._subject = wand_subject(self.tracker, plan.configuration)
 
     @property
@@ -90,16 +90,16 @@ class WandAdapter(TrackerAdapter):
         epoch = WandEpoch(frame, self._state, self._estimate, time.perf_counter() - begun)
         samples = self._samples(self._state.estimates, events)
         self._frames += 1
-        self.status = self._poses[self.points].phase
+        self.status = self._poses[self.pointing_index].phase
         self._messages.add(frame.stamp, self._poses, frame.image)
-        return FrameResult(frame, samples, self.points, {"track": epoch.seconds}, epoch)
+        return FrameResult(frame, samples, self.pointing_index, {"track": epoch.seconds}, epoch)
 
     def _samples(self, estimates: tuple[Estimate, ...], events: tuple[Event, ...]) -> tuple[Sample, ...]:
         """Return a sample for each ball, with its events; those of no ball go with the one that points."""
         named = [[] for _ in estimates]
         names = [ball.name for ball in self.tracker.balls]
         for event in events:
-            index = names.index(event.ball) if isinstance(event, BallEvent) else self.points
+            index = names.index(event.ball) if isinstance(event, BallEvent) else self.pointing_index
             named[index].append(event.name)
         return tuple(
             Sample(estimate, k + 1, name, "cam", tuple(event_names))
@@ -123,7 +123,10 @@ class WandAdapter(TrackerAdapter):
         self._messages.reason = reason
 
     def prepare(self, plan: RunConfig, changed: Collection[str]) -> Callable[[], TrackerAdapter]:
-        """Prepare other parameters, with the balls tracked on; with other balls or another camera, search again."""
+        """Prepare another plan. Return the function that applies it and returns the adapter to use.
+
+        That is this one, whose balls stay tracked, or after a change of `balls` or `rig` a new one, which searches.
+        """
         if {"balls", "rig"} & set(changed):
             other = WandAdapter(self._make, plan, self._log)
 
@@ -135,13 +138,13 @@ class WandAdapter(TrackerAdapter):
         tracker = self._make(plan) if "tracker" in changed else self.tracker
 
         def apply() -> TrackerAdapter:
-            before = self.points
+            before = self.pointing_index
             self._set_tracker(plan, tracker)
-            if "motion" in changed or self.points != before:
+            if "motion" in changed or self.pointing_index != before:
                 self.mapping = WandMapping(plan.configuration.wand.pointing)
-            if self.points != before:
-                self._messages = WandMessages(self.points, tracker.balls[self.points].name)
-                self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
+            if self.pointing_index != before:
+                self._messages = WandMessages(self.pointing_index, tracker.balls[self.pointing_index].name)
+                self.status = self._poses[self.pointing_index].phase if self._poses else Status.SEARCHING
             return self
 
         return apply
@@ -163,7 +166,7 @@ class WandAdapter(TrackerAdapter):
 
     def scene(self) -> dict[str, Any]:
         """Return the camera at the origin of `cam`, the ball that points with its discs, and the names of all balls."""
-        ball = self.tracker.balls[self.points]
+        ball = self.tracker.balls[self.pointing_index]
         return {
             "camera": camera_scene(self.tracker.camera, Pose(np.eye(3), np.zeros(3))),
             "radius": ball.radius,
@@ -177,7 +180,9 @@ class WandAdapter(TrackerAdapter):
         if tracked is None:
             return plain(None, self.status)
         balls = zip(self.tracker.balls, tracked.epoch.poses, strict=True)
-        return plain(tracked.samples[0].sequence, self.status, **of_balls(balls, self.points, self.tracker.camera))
+        return plain(
+            tracked.samples[0].sequence, self.status, **of_balls(balls, self.pointing_index, self.tracker.camera)
+        )
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         keep = None if everything else partial(_around_balls, tracked.epoch.poses, self.tracker)
@@ -188,14 +193,14 @@ class WandAdapter(TrackerAdapter):
         return lambda: image if everything else in_blocks(image, np.zeros(image.shape[:2], np.uint8))
 
     def failure(self, unused: str) -> SpheremouseError | None:
-        if self.points in self._messages.found:
+        if self.pointing_index in self._messages.found:
             return None
         frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
         reason = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
         return SourceError(f"{self._plan.source}: {reason}")
 
     def final_messages(self, failed: bool) -> tuple[str, ...]:
-        return self._messages.never_found(but=self.points if failed else None)
+        return self._messages.never_found(but=self.pointing_index if failed else None)
 
 
 def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:

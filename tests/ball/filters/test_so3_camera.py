@@ -29,7 +29,7 @@ from so3_world import (
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_state import CENTRE, COMMON, augment, inject, with_false_turn
+from spheremouse.ball.filters.so3_state import CENTRE, COMMON, augment, inject, with_uncertain_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -381,7 +381,7 @@ def test_a_false_turn_is_taken_back_without_a_push(seed):
         state = FILTER.update(FILTER.predict(state, state.stamp + DT), points)
     after = [
         FILTER.update(FILTER.predict(before, state.stamp + DT), points_at(DISCS[:6] @ R.T, rng=rng))
-        for before in (state, with_false_turn(state, turn))
+        for before in (state, with_uncertain_turn(state, turn))
     ]
     assert np.linalg.norm(after[1].rate) < 0.5 * np.linalg.norm(after[0].rate)
     assert np.linalg.norm(after[1].rate) < 3.0 * np.sqrt(np.trace(after[1].joint[3:6, 3:6]))

@@ -97,12 +97,12 @@ def test_garbage_waits_for_a_rest_and_goes_however_old_it_is():
         cycle = Cycle()
         gone = weakref.ref(cycle)
         for k in range(3):
-            pause.rest(10.0 * k)
+            pause.collect_if_due(10.0 * k)
         del cycle
         assert gone() is not None
-        pause.rest(20.1)  # not yet
+        pause.collect_if_due(20.1)  # not yet
         assert gone() is not None
-        pause.rest(30.0)
+        pause.collect_if_due(30.0)
         assert gone() is None
     finally:
         pause.close()
