@@ -11,7 +11,7 @@ from daemon_world import DT, Film, World
 
 from spheremouse.ball.rig import in_axes
 from spheremouse.capture.newest import Arrival
-from spheremouse.errors import ConfigurationError, PoseError
+from spheremouse.errors import ConfigurationError, ControlError, PoseError
 from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.session.ball.adapter import BallAdapter
@@ -252,3 +252,24 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world):
     world.second.missing = ""
     world.reach("tracking")
     assert not any(text.startswith("lost") for text in world.said)
+
+
+def test_settings_and_rigs_change_while_two_cameras_track(world, rigs):
+    world.start()
+    world.reach("tracking")
+    world.turn()
+    frames = [each["frames"] for each in world.client.ask("status")["cameras"]]
+    assigned = ["discs.contrast=0.26", "so3.acceleration_sigma=2"]
+    assert world.client.ask("set", assignments=assigned)["changed"] == ["tracker"]
+    world.settle(10)
+    cameras = world.client.ask("status")["cameras"]
+    assert all(each["frames"] > before for each, before in zip(cameras, frames, strict=True))
+    assert [each["trouble"] for each in cameras] == ["", ""]
+    with pytest.raises(ControlError, match="more than one camera"):
+        world.client.ask("set", assignments=["detector=texture"])
+    save_rig(world.folder / "side.yaml", replace(rigs[1], exposure_s=0.001))
+    world.until(lambda: any(text.endswith("0.1, rig") for text in world.said), "its new rig")
+    world.reach("tracking")
+    world.config.write_text(world.config.read_text().replace("[film:front, film:side]", "film:front"))
+    with pytest.raises(ControlError, match="rig: 2 and not 1"):
+        world.client.ask("reload")
