@@ -109,13 +109,18 @@ WIDE void add_product(const double* J, const double* P, int readout, int rows, i
         }
 }
 
-/// Return a mask, (k,), of the pairs that agree with one another; each alone may pass the gate.
+struct Agreement {
+    std::vector<bool> keep;  // pairs that agree with one another; each alone may pass the gate
+    double widest = 0.0;     // rad², as in `Pairs`
+};
+
+/// Return the pairs that agree with one another.
 ///
 /// Data snooping (Baarda 1968, for pairs of coordinates) removes the pair that contradicts the others and the
 /// prediction most, and repeats until all agree. Such a pair is a look-alike beside the place of a hidden disc, above
 /// all after a gap.
-std::vector<bool> consistent(const Each& z, const Dense& S, double limit) {
-    std::vector<bool> keep(size_t(z.size()) / 2, true);
+Agreement consistent(const Each& z, const Dense& S, double limit) {
+    Agreement r{std::vector<bool>(size_t(z.size()) / 2, true)};
     Indices at(size_t(z.size()));
     std::iota(at.begin(), at.end(), 0);
     while (at.size() > 2) {
@@ -125,16 +130,18 @@ std::vector<bool> consistent(const Each& z, const Dense& S, double limit) {
         const Each v = L.transpose() * (L * z(at));
         int worst = -1;
         double most = limit;
+        r.widest = 0.0;
         for (int i = 0; i < int(at.size()); i += 2) {
             const Matrix<2> inverse = L.middleCols<2>(i).transpose() * L.middleCols<2>(i);
+            r.widest = std::max(r.widest, 1.0 / std::sqrt(inverse.determinant()));
             const double contradiction = squared(v.segment<2>(i), inverse);
             if (contradiction >= most) worst = i, most = contradiction;
         }
         if (worst < 0) break;
-        keep[size_t(at[size_t(worst)]) / 2] = false;
+        r.keep[size_t(at[size_t(worst)]) / 2] = false;
         at.erase(at.begin() + worst, at.begin() + worst + 2);
     }
-    return keep;
+    return r;
 }
 
 /// Return the log likelihood ratio of pairs to that of no pair.
@@ -296,7 +303,8 @@ Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const P
     r.plain = unambiguous(distance, gate);
     r.innovation = innovation(body, points, r, added);
     const auto& [H, HP, z, S] = r.innovation;
-    const std::vector<bool> keep = consistent(z, S + H * added * H.transpose(), 1.5 * gate);
+    const auto [keep, widest] = consistent(z, S + H * added * H.transpose(), 1.5 * gate);
+    r.widest = widest;
     r.agree = std::all_of(keep.begin(), keep.end(), [](bool kept) { return kept; });
     r.in_place = r.agree && total < 4.0 * double(std::max<size_t>(r.rows.size(), 1)) + 10.0;
     if (r.agree) {

@@ -6,6 +6,8 @@
 namespace spheremouse::ball {
 namespace {
 
+constexpr double RARE = 1e-3;  // probability per frame below which chance explains no pair, as in so3.py
+
 struct Updated {
     Pairs pairs;
     Corrected corrected;
@@ -25,6 +27,11 @@ bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& vie
     return (distance.array() < gate).any();
 }
 
+/// Return whether one of the points falls by chance into the gate of a disc, given the other pairs.
+bool pairs_by_chance(const Pairs& pairs, const Points& points, const Viewer& viewer, double gate) {
+    return points.size() * gate * pairs.widest > 2.0 * RARE * (1.0 - viewer.horizon);
+}
+
 /// Return nothing unless the frame shows half of the discs or more in their places, without another possible pair.
 std::optional<Updated> update_ordinary(const Body& body, const Points& points, const Viewer& viewer,
                                        const Pending& pending, const Activity& activity) {
@@ -33,6 +40,7 @@ std::optional<Updated> update_ordinary(const Body& body, const Points& points, c
     r.pairs = pair(body, points, viewer, pending, pending.weights.dot(squares), activity.gate);
     const int k = int(r.pairs.rows.size());
     if (!(r.pairs.plain && r.pairs.in_place && k >= 2 && 2 * k >= r.pairs.possible)) return {};
+    if (pairs_by_chance(r.pairs, points, viewer, activity.gate)) return {};
     if (k < r.pairs.possible &&
         pairs_if_livelier(body, points, viewer, r.pairs, pending.added(squares.maxCoeff()), activity.gate))
         return {};

@@ -139,6 +139,20 @@ def test_an_error_that_attitude_and_discs_share_is_never_measured(axes):
     assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
 
 
+def test_a_point_in_the_wide_gate_of_a_disc_makes_no_certain_frame():
+    """Two discs in their places, and one that may be anywhere along an arc, with a point 3 degrees aside on it."""
+    rng, which = np.random.default_rng(3), np.argsort(-DISCS[:, 2])[:3]
+    state = FILTER.update(FILTER.initial(0.0, np.eye(3)), points_at(DISCS[which], rng=rng))
+    state = FILTER.predict(FILTER.update(state, points_at(DISCS[which], rng=rng)), 1e-3)
+    points, free = points_at(DISCS[which], rng=rng), np.zeros(3, dtype=np.bool_)
+    assert FILTER.update_if_certain(state, points, free) is not None
+    joint, at = state.joint.copy(), state.map_row + 2 * 2
+    joint[at, at] += 0.15**2
+    wide, aside = replace(state, joint=joint), DISCS[which].copy()
+    aside[2] = aside[2] + 0.05 * state.basis[2, :, 0]
+    assert FILTER.update_if_certain(wide, points_at(aside, rng=rng), free) is None
+
+
 def test_a_candidate_measures_the_turn_since_its_first_sighting():
     """One known disc, a turn about it while a candidate is in view, and the proof two frames later.
 
