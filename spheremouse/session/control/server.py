@@ -187,7 +187,7 @@ class ControlServer:
         except BadRequestError as e:
             with contextlib.suppress(OSError):
                 await client.send(refused(str(e)))
-        except OSError:
+        except (OSError, asyncio.CancelledError):  # asyncio logs a task that ends cancelled
             pass
         except Exception as e:
             self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")

@@ -267,6 +267,13 @@ def test_every_subscriber_gets_all_samples_and_other_watchers_get_none(serve, pa
     assert wires[0].read() == {"event": "log", "text": "no sample before this"}
 
 
+def test_the_end_is_no_error_of_a_watcher(serve, path):
+    log = []
+    server, _wire = serve(log=log), subscribed(path)
+    server.close()
+    assert log == []
+
+
 def test_a_subscriber_that_stops_reading_loses_its_own_samples_and_gets_their_number(serve, path):
     """It stays connected, others get every sample, and its next samples are the latest ones."""
     limits = Limits(stalled=0.05, samples=20)
