@@ -237,7 +237,7 @@ class Daemon:
             arrival.raw.release()
 
     def _publish(self, made: FrameResult, taken: float) -> None:
-        """Pass the result of a frame on, to the outputs first: their threads send while this one goes on.
+        """Pass the result of a frame on, to the outputs first. Those that may block have threads of their own.
 
         `taken` is the frame's mid-exposure, s of time.monotonic. The latency of the samples ends here; that of the
         status ends when the output has sent.
