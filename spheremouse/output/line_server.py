@@ -14,6 +14,7 @@ from spheremouse.output.address import bind
 from spheremouse.output.lines import LineFormat
 
 _MAX_CLIENTS = 256
+_FEW_CLIENTS = 8  # 250 take 2 ms, at times 9 ms, for which the tracker must not wait
 
 
 class Client:
@@ -59,6 +60,11 @@ class Server(Generic[ClientType]):
             for connection, client in tuple(self._clients.items()):
                 if client.ready:
                     self._write(connection, data_of(client))
+
+    @property
+    def has_many_clients(self) -> bool:
+        """True if sending to all takes so long that it needs a thread."""
+        return len(self._clients) > _FEW_CLIENTS
 
     def close(self) -> None:
         """Close the port and all connections."""
@@ -152,3 +158,4 @@ class LineServer(Server[Client], Output):
         for line in self._form.lines(report):
             data = self.encode(line)
             self.broadcast(lambda _, data=data: data)
+        self.blocks = self.has_many_clients

@@ -48,6 +48,7 @@ class SpaceNav(Output):
         if rotation is not None:
             self._watchdog.feed()
             self._turn(rotation)
+            self.blocks = self._server.has_many_clients
 
     def close(self) -> None:
         """End the motion and the connections, and remove the socket."""

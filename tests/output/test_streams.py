@@ -1,5 +1,6 @@
 """Lines to other programs by TCP, UDP and WebSocket."""
 
+import contextlib
 import json
 import socket
 import subprocess
@@ -8,7 +9,7 @@ import time
 from itertools import pairwise
 
 import pytest
-from reporting import PATIENCE, refused, report
+from reporting import PATIENCE, refused, report, until
 
 from spheremouse.output import open_output, probe
 from spheremouse.output.line_server import LineServer
@@ -103,6 +104,17 @@ def test_a_client_that_does_not_read_is_dropped_and_blocks_nobody():
     assert read[first:] == [-k for k in range(len(read) - first)]
     assert len(read) - first < count
     assert longest < 1.0  # it never waits for the slow client, which would last for ever
+
+
+def test_many_clients_need_a_thread():
+    """The tracker must not wait for the milliseconds that they take."""
+    port = free_port()
+    with open_output(f"tcp:{port}") as output:
+        for clients, blocks in ((1, False), (20, True), (1, False)):
+            with contextlib.ExitStack() as stack:
+                for _ in range(clients):
+                    stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+                until(lambda blocks=blocks: output.send(report(1)) or output.blocks == blocks)
 
 
 def test_a_client_that_disconnects_or_sends_rubbish_is_no_trouble():
