@@ -106,6 +106,15 @@ def learn_texture(
     is learnt. With `forget` the cells are forgotten that show what stands still.
     """
 
+def leave_out_doubtful(
+    samples: _Samples, first: _Narrow, own: _Narrow, change: float, detail: float
+) -> tuple[_Narrow, _Narrow]:
+    """Return the log odds of the samples, (r, c), once -inf for a detail and once for any that may stand still.
+
+    Such a sample differs by less than `change` from the `first` frame, and has log odds of its `own`, (r, c), below 3.
+    A detail has a contrast above `detail`.
+    """
+
 def weigh_static(
     samples: _Samples, picture: _Picture, R: _Float, after: tuple[_Narrow, _Narrow, _Narrow], noise: float,
     share: float, settle: float, apart: float,

@@ -53,12 +53,17 @@ WIDE void Residuals::add(const Look& seen, const float* contrast, const Errors& 
         z[i] = contrast[i] - seen.value[i];
         counts[i] = (seen.weight[i] >= LEAST_WEIGHT) & (square > least);
     }
+    size_t n = all.size();
+    all.resize(n + seen.size);  // a branch would be taken by chance
+    squares.resize(n + seen.size);
     for (size_t i = 0; i < seen.size; i++) {
-        if (!counts[i]) continue;
-        all.push_back(
-            {z[i], seen.value[i], contrast[i], variance[i], seen.by_x[i], seen.by_y[i], seen.by_z[i], seen.tile[i]});
-        squares.push_back(z[i] * z[i] / variance[i]);
+        all[n] = {z[i],         seen.value[i], contrast[i],  variance[i],
+                  seen.by_x[i], seen.by_y[i],  seen.by_z[i], seen.tile[i]};
+        squares[n] = z[i] * z[i] / variance[i];
+        n += size_t(counts[i]);
     }
+    all.resize(n);
+    squares.resize(n);
 }
 
 float median(std::vector<float>& values) {

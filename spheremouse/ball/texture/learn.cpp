@@ -183,6 +183,30 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
     }
 }
 
+/// Return the log odds of the samples, once -inf for a detail and once for any sample that may stand still.
+///
+/// That is a sample whose contrast differs by less than `change` from that of the `first` frame, while its own odds,
+/// `own`, do not prove that it turns.
+nb::tuple leave_out_doubtful(nb::tuple samples_, nb::handle first_, nb::handle own_, double change, double detail) {
+    const Samples samples = read_samples(samples_);
+    const auto first = array<const float, -1, -1>(first_, "first"), own = array<const float, -1, -1>(own_, "own");
+    for (const auto& each : {first, own})
+        if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
+            throw nb::type_error("first, own: must have the shape of direction");
+    const size_t rows = size_t(samples.rows), columns = size_t(samples.columns);
+    auto counts = zeros<float>({rows, columns}), turning = zeros<float>({rows, columns});
+    const float differs = float(change), shows = float(detail);
+    for (size_t row = 0, i = 0; row < rows; row++) {
+        const float* contrast = samples.contrast + row * size_t(samples.step) * size_t(samples.width);
+        for (size_t column = 0; column < columns; column++, i++, contrast += samples.step) {
+            const bool same = (std::abs(*contrast - first.data()[i]) < differs) & (own.data()[i] < -STATIC_ODDS);
+            turning.data()[i] = same ? -INFINITY : samples.odds[i];
+            counts.data()[i] = same & (std::abs(*contrast) > shows) ? -INFINITY : samples.odds[i];
+        }
+    }
+    return nb::make_tuple(counts, turning);
+}
+
 }  // namespace
 
 void bind_learn(nb::module_& m) {
@@ -192,6 +216,8 @@ void bind_learn(nb::module_& m) {
     m.attr("FACING") = FACING;
     m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
           arg("most"), arg("turn"), arg("forget"));
+    m.def("leave_out_doubtful", &leave_out_doubtful, arg("samples"), arg("first"), arg("own"), arg("change"),
+          arg("detail"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),
           arg("share"), arg("settle"), arg("apart"));
 }

@@ -40,6 +40,7 @@ WIDE void Look::at(const Picture& picture, const Matrix3f& towards, const Pixels
 
 Pixels pixels_on_ball(const Samples& samples, float least_odds) {
     Pixels found;
+    found.reserve(size_t(samples.size()));
     const float* d = samples.direction;
     for (int row = 0, i = 0; row < samples.rows; row++)
         for (int column = 0; column < samples.columns; column++, i++, d += 3)

@@ -77,6 +77,10 @@ struct Pixels {
     std::vector<float> contrast, x, y, z;
 
     size_t size() const { return sample.size(); }
+    void reserve(size_t n) {
+        sample.reserve(n);
+        for (auto* column : {&contrast, &x, &y, &z}) column->reserve(n);
+    }
     void add(int number, float c, float dx, float dy, float dz) {
         sample.push_back(number);
         contrast.push_back(c);

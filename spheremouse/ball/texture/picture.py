@@ -196,11 +196,8 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
 
     A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
     """
-    now = contrast[:: view.step, :: view.step]
-    same = (np.abs(now - seen.first) < _SAME * noise) & (seen.odds < -STATIC_ODDS)
-    detail = np.abs(now) > SHOWS * noise
-    nothing = np.float32(-np.inf)
-    counts, turning = np.where(same & detail, nothing, seen.least), np.where(same, nothing, seen.least)
+    samples = contrast, view.direction, seen.least, seen.offset, view.step
+    counts, turning = kernels.leave_out_doubtful(samples, seen.first, seen.odds, _SAME * noise, SHOWS * noise)
     return seen._replace(contrast=contrast, counts=counts, turning=turning)
 
 

@@ -46,7 +46,11 @@ def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offs
     return after
 
 
-@pytest.mark.parametrize("function", [aligned, correlated, learnt, weighed])
+def doubted(*, first=SEEN.first, own=SEEN.odds, **samples):
+    return kernels.leave_out_doubtful(tuple((SAMPLES | samples).values()), first, own, 0.03, 0.02)
+
+
+@pytest.mark.parametrize("function", [aligned, correlated, doubted, learnt, weighed])
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
@@ -86,6 +90,8 @@ OTHER_NAMES = {
         (correlated, "attitudes", np.eye(3)),
         (correlated, "attitudes", np.eye(3, dtype=np.float32)[None]),
         (correlated, "value", PICTURE.value.astype(np.float64)),
+        (doubted, "first", SEEN.first[1:].copy()),
+        (doubted, "own", SEEN.odds[:, 1:].copy()),
         (learnt, "R", np.eye(2)),
         (learnt, "known", PICTURE.known[:, 1:].copy()),
         (learnt, "axes", VIEW.chart._replace(axes=np.eye(2))),

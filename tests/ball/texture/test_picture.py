@@ -296,6 +296,8 @@ def test_a_detail_that_shows_the_same_as_in_the_first_frame_is_in_doubt_until_it
     changed[: len(changed) // 2] = first.contrast[: len(changed) // 2]
     now = seen_again(view, first, changed, NOISE)
     samples, on_ball = changed[:: view.step, :: view.step], np.isfinite(view.nothing)
+    twin = twins.leave_out_doubtful(samples, first.first, first.odds, first.least, 3.0 * NOISE, 2.0 * NOISE)
+    assert np.array_equal((now.counts, now.turning), twin)
     upper = np.arange(len(samples))[:, None] * view.step < len(changed) // 2
     detail = on_ball & (np.abs(samples) > 3.0 * NOISE)
     differs = np.abs(samples - first.first) > 4.0 * NOISE

@@ -143,3 +143,9 @@ def enlarged(far, ratio):
         at = (np.arange(n * ratio) + 0.5) / ratio - 0.5
         far = np.array([np.interp(at, np.arange(n), column) for column in far.T])
     return far
+
+
+def leave_out_doubtful(contrast, first, own, odds, change, detail):
+    """Log odds of samples, once -inf for a detail that may stand still, and once for any sample that may."""
+    same = (np.abs(contrast - first) < change) & (own < -STATIC_ODDS)
+    return np.where(same & (np.abs(contrast) > detail), -np.inf, odds), np.where(same, -np.inf, odds)
