@@ -17,10 +17,9 @@ class CallWatch:
         """`log` gets the reason of a hang, once for each call; `clock` (s) is monotonic."""
         self._log, self._clock = log, clock
         self.pending: Call | None = None  # set by the output's thread
-        self._seen: tuple[Call, float] | None = (
-            None  # the one that a caller saw last, and the time of the first sight, s
-        )
-        self.last_hung: Call | None = None  # the last one that hung
+        # The one that a caller saw last, and the time of the first sight, s
+        self._seen: tuple[Call, float] | None = None
+        self._hung: Call | None = None  # the last one that hung
 
     def run(self, call: Call, function: Callable[..., object], *arguments: object) -> bool:
         """Make a call, which may never return. Return True if it hung."""
@@ -33,7 +32,7 @@ class CallWatch:
 
     def hung(self, call: Call | None) -> bool:
         """Return whether this call was the last one that hung; False for None."""
-        return call is not None and call is self.last_hung
+        return call is not None and call is self._hung
 
     def look(self) -> str | None:
         """Return the reason if the pending call hangs. The first such look logs it."""
@@ -48,6 +47,6 @@ class CallWatch:
         what, hint = call
         reason = f"the output hangs: {what}{f' ({hint})' if hint else ''} for {took:.1f} s"
         if not self.hung(call):
-            self.last_hung = call
+            self._hung = call
             self._log(reason)
         return reason

@@ -279,7 +279,7 @@ class OutputThread:
         if self._unproven is not None:
             self._unproven = None
             self._log(f"{self._name}: works again")
-        if call is self._calls.last_hung:
+        if self._calls.hung(call):
             self._log(f"{self._name}: works again")
             self._reset()  # the counts of that time would make the pointer jump
         return True

@@ -24,7 +24,10 @@ class LatencyLog:
 
     def __init__(self) -> None:
         self._seconds = deque[float](maxlen=LATENCY_COUNT)
-        self.add = self._seconds.append
+
+    def add(self, seconds: float) -> None:
+        """Add a latency, s."""
+        self._seconds.append(seconds)
 
     def summary(self) -> Latency | None:
         """Return quantiles and maximum; None before the first frame."""

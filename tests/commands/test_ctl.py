@@ -223,9 +223,8 @@ def watching(path, *words, more=0):
 
     Before Ctrl-C, nobody reads for half a second, and then so many `more` lines.
     """
-    hearing = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a job in the background is deaf
-    )
+    # A job in the background is deaf
+    hearing = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     code = f"{hearing}; from spheremouse.commands.ctl import app; app({['watch', *words, '--socket', str(path)]!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
