@@ -284,4 +284,6 @@ def follow(
         except SpheremouseError as e:
             failure = e
     view.tally.left_out = {"before anything could be tracked": adapter.untracked}
-    return failure, adapter.final_messages(failed=failure is not None)
+    troubles = enumerate(map(adapter.trouble_of, range(len(sources))), 1)
+    of_cameras = [f"camera {number}: {trouble}" for number, trouble in troubles if trouble and len(sources) > 1]
+    return failure, (*of_cameras, *adapter.final_messages(failed=failure is not None))

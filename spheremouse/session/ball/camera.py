@@ -28,7 +28,9 @@ from spheremouse.tracker import Frame, Status, Step
 
 _MIN_TARGETS = 3  # for a pose
 _MAX_MOVING_S = 1.0  # s of a moving camera that are not reported
-_MAX_UNCONFIRMED_S = 3.0  # s of frames that confirm no attitude, after some that did, while the ball is tracked
+_AGREEMENT_S = 2.0  # s; time constant of the share of a camera's points that are discs of the map
+_MIN_AGREEMENT = 0.5  # share below which most points of a camera are no discs: it was moved, or its rig has other axes
+_MIN_POINTS = 2  # of a frame that counts for it: fewer show a hand before the camera as well
 _MAX_LATE = 30  # late frames in a row that are not reported
 
 
@@ -57,8 +59,8 @@ class PosedCamera:
         self.waiting = "the ring targets are looked for"  # reason why nothing can be tracked; empty if it can
         self.late = 0  # frames in a row that were older than those of another camera
         self.lag = 0.0  # s, by which the last one was
-        self._seen_at = 0.0  # s, stamp of the last frame
-        self._confirmed_at = np.inf  # s, stamp of the last frame that confirmed an attitude
+        self._seen_at = np.inf  # s, stamp of the last frame
+        self._agreement = 1.0  # share of the points that are discs of the map, in the mean over the last frames
         self.detected = 0.0  # s, time.monotonic() at the end of the last detection
         self._reinitialisation: _Reinitialisation | None = None
         self.forget_views()
@@ -95,13 +97,10 @@ class PosedCamera:
         if self.late > _MAX_LATE:
             return f"its frames are {1e3 * self.lag:.0f} ms older than those of the other camera: give both one mode"
         part = None if state is None else part_of(state, self.number)
-        if (
-            self._seen_at - self._confirmed_at > _MAX_UNCONFIRMED_S
-            and state is not None
-            and state.status is Status.TRACKING
-        ):
+        if self._agreement < _MIN_AGREEMENT and state is not None and state.status is Status.TRACKING:
             return (
-                "its discs are not where the other camera has them: uncover its view; if it was moved, initialise again"
+                "its discs are not where the other camera has them: uncover its view; if it was moved, initialise it "
+                "again; if it sees other targets than the other camera, run `spheremouse calibrate tie`"
             )
         moving_since = None if part is None or part.watch is None else part.watch.away
         if part is not None and moving_since is not None and part.shown_at - moving_since > _MAX_MOVING_S:
@@ -143,9 +142,7 @@ class PosedCamera:
             made = with_pose(before, frame, tracker, sought)
         else:
             made = step(before, frame, tracker, self._note_detected, self._recovery)
-        self._seen_at = frame.stamp
-        if made.estimate.confirmed:
-            self._confirmed_at = frame.stamp
+        self._note_agreement(made, frame.stamp)
         pose = current_of(made.state, self.number, tracker).pose
         if pose is not self.pose:
             self.pose, self._posed = pose, time.monotonic()
@@ -196,6 +193,14 @@ class PosedCamera:
 
     def _note_detected(self) -> None:
         self.detected = time.monotonic()
+
+    def _note_agreement(self, made: Step[TrackState], stamp: float) -> None:
+        """Update the share of the points that are discs of the map."""
+        seen, used = (made.estimate.statistics[name] for name in ("discs_seen", "discs_used"))
+        if seen >= _MIN_POINTS and made.state.status is Status.TRACKING:
+            gain = min(max(stamp - self._seen_at, 0.0) / _AGREEMENT_S, 1.0)
+            self._agreement += gain * (min(used / seen, 1.0) - self._agreement)
+        self._seen_at = stamp
 
     def _with_pose(self, state: TrackState, frame: Frame, tracker: Tracker, found: Resection) -> Step[TrackState]:
         """Return the step at the requested new pose `found`, or at the earlier one if the ball is not in view from it.
