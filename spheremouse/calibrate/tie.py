@@ -27,7 +27,7 @@ _ITERATIONS = 10
 
 @dataclass(frozen=True, slots=True)
 class AttitudeTrack:
-    """What one camera saw of the ball's motion: n tracked frames, in the order of their stamps."""
+    """Motion of the ball as one camera saw it: n tracked frames, in the order of their stamps."""
 
     stamp: Array  # (n,) s
     attitude: Array  # (n, 3, 3) R_obj_ball

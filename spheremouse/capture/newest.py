@@ -60,7 +60,7 @@ class LatestFrame:
             self._changed.notify()
 
     def clear(self, camera: int = 0) -> None:
-        """Release the latest arrival of a camera, which nobody has taken: it counts as skipped."""
+        """Release the latest arrival of a camera, which was not taken: it counts as skipped."""
         with self._changed:
             old = self._arrivals.pop(camera, None)
             self.skipped += old is not None

@@ -19,7 +19,7 @@ _AXES = re.compile(r"(cam:)?((?:-?[xyz]|0){3})")
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How an output responds to motion."""
+    """Response of an output to motion."""
 
     gain: float = 1.0  # factor on the motion
     axes: str = "xyz"  # axes of the motion that become the output's x, y and third axis; `-` reverses one, 0 is none

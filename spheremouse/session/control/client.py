@@ -232,7 +232,7 @@ class Client:
         return f"no daemon listens at {' or '.join(str(p) for p in socket_file.candidates())}"
 
     def _permission_hint(self) -> str:
-        """Return what a user does who may not open the socket."""
+        """Return the remedy for a user who has no access to the socket."""
         import grp  # not on Windows, which gets no further than `_connected`
 
         try:
