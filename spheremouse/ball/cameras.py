@@ -17,7 +17,7 @@ from spheremouse.ball.filters.so3_motion import CAMERA_DIM
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState
+from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState, current
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array
 
@@ -89,7 +89,7 @@ def part_of(state: TrackState[Any], camera: int) -> TrackState[Any] | CameraStat
 def current_of(state: TrackState[Any], camera: int, tracker: Tracker[Any]) -> Tracker[Any]:
     """Return the tracker in use for a camera: `tracker`, or the one that was rebuilt for a new pose."""
     part = part_of(state, camera)
-    return tracker if part is None or part.rebuilt is None else part.rebuilt
+    return tracker if part is None else current(part, tracker)
 
 
 def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:

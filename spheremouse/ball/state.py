@@ -237,7 +237,7 @@ def statistics(state: TrackState) -> dict[str, float]:
     return {"discs_used": len(f.used), "discs_seen": len(state.points), "discs_known": len(f.discs), **f.statistics}
 
 
-def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
+def current(state: TrackState | CameraState, tracker: Tracker[K]) -> Tracker[K]:
     """Return the tracker in use: `tracker`, or the one that was rebuilt for a new camera pose."""
     return tracker if state.rebuilt is None else state.rebuilt
 

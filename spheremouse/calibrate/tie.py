@@ -60,10 +60,10 @@ def tie(first: AttitudeTrack, second: AttitudeTrack) -> Tie:
             f"roll it in view of both for {_MIN_SECONDS:g} s or more; recordings must be of one run, by one clock",
         )
     C = _first_rotation(stamp, R, S)
-    D = align_all(np.swapaxes(S, 1, 2) @ C.T @ R)
+    D = _mean_rotation(np.swapaxes(S, 1, 2) @ C.T @ R)
     lag, inverse, size = 0.0, np.zeros((7, 7)), np.zeros(len(stamp))
     for _ in range(_ITERATIONS):
-        deviation = np.array([log(a @ (C @ b @ D).T) for a, b in zip(R, S, strict=True)]) - lag * rate
+        deviation = log(R @ np.swapaxes(C @ S @ D, 1, 2)) - lag * rate
         size = np.linalg.norm(deviation, axis=1)
         weight = np.minimum(1.0, _HUBER * np.median(size) / np.maximum(size, 1e-12))
         J = np.concatenate([np.broadcast_to(np.eye(3), R.shape), C @ S, rate[:, :, None]], axis=2)  # of C, D, lag
@@ -89,8 +89,7 @@ def tied(rig: Rig, tie: Tie) -> Rig:
     """Return the rig of the second camera in the axes of the first. Its errors include those of the tie."""
     nowhere = Pose(np.eye(3), np.zeros(3))
     turned, pose = in_axes(rig, rig.pose or nowhere, tie.rotation)
-    places = turned.targets.position
-    by_tie = -np.concatenate([hat(place) for place in places]) if len(places) else np.zeros((0, 3))
+    by_tie = -hat(turned.targets.position).reshape(-1, 3)
     targets = replace(turned.targets, covariance=turned.targets.covariance + by_tie @ tie.covariance @ by_tie.T)
     turned = replace(turned, targets=targets, disc_directions=None)
     if rig.pose is None:
@@ -99,7 +98,7 @@ def tied(rig: Rig, tie: Tie) -> Rig:
     return replace(turned, pose=replace(pose, covariance=pose.covariance + by_tie @ tie.covariance @ by_tie.T))
 
 
-def align_all(rotations: Array) -> Array:
+def _mean_rotation(rotations: Array) -> Array:
     """Return the mean, (3, 3), of rotations (n, 3, 3): the nearest one to their sum."""
     return align(np.eye(3), np.sum(rotations, axis=0).T)
 
@@ -113,22 +112,18 @@ def _at(track: AttitudeTrack, stamps: Array) -> tuple[Array, Array, NDArray[np.i
     inside = (after > 0) & (after < len(track.stamp))
     inside[inside] = np.diff(track.stamp)[after[inside] - 1] < _MAX_INTERVAL_S
     which = np.flatnonzero(inside)
-    attitudes, rates = np.zeros((len(which), 3, 3)), np.zeros((len(which), 3))
-    for i, k in enumerate(which):
-        b = after[k]
-        a, dt = b - 1, track.stamp[b] - track.stamp[b - 1]
-        s = (stamps[k] - track.stamp[a]) / dt
-        turn = log(track.attitude[b] @ track.attitude[a].T)
-        along = s * s * (3.0 - 2.0 * s) * turn
-        along += dt * (s * (1.0 - s) ** 2 * track.rate[a] + s * s * (s - 1.0) * track.rate[b])
-        attitudes[i] = exp(along) @ track.attitude[a]
-        rates[i] = (1.0 - s) * track.rate[a] + s * track.rate[b]
-    return attitudes, rates, which
+    b = after[which]
+    a, dt = b - 1, (track.stamp[b] - track.stamp[b - 1])[:, None]
+    s = (stamps[which] - track.stamp[a])[:, None] / dt
+    turn = log(track.attitude[b] @ np.swapaxes(track.attitude[a], 1, 2))
+    along = s * s * (3.0 - 2.0 * s) * turn
+    along += dt * (s * (1.0 - s) ** 2 * track.rate[a] + s * s * (s - 1.0) * track.rate[b])
+    return exp(along) @ track.attitude[a], (1.0 - s) * track.rate[a] + s * track.rate[b], which
 
 
 def _first_rotation(stamp: Array, R: Array, S: Array) -> Array:
     """Return the rotation, (3, 3), between the axes of two tracks, from the turns of both between two stamps."""
     later = np.searchsorted(stamp, stamp + _STEP_S)
     now = np.flatnonzero(later < len(stamp))
-    turns = [np.array([log(T[later[k]] @ T[k].T) for k in now]) for T in (S, R)]
+    turns = [log(T[later[now]] @ np.swapaxes(T[now], 1, 2)) for T in (S, R)]
     return align(*turns)

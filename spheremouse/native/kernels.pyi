@@ -308,6 +308,8 @@ def correct(
     positive definite.
     """
 
+RARE: float
+
 def update_ordinary(
     body: _Body, points: _Points, camera: _Camera, sightings: _Sightings, pending: _Pending,
     activity: _Activity,

@@ -2,10 +2,10 @@
 
 The thread wakes for each frame and, while the pointer's prediction runs, at a steady rate. If the output never blocks,
 the caller of `submit` sends, since waking a thread costs more than most outputs do. No exception of an output leaves
-this module. If an output fails, the thread closes it and opens it again after a growing delay. It counts the
-motion of that time as unsent. An output that reports trouble of its receiver stays open and gets empty reports until it
-recovers. The thread cannot notice that it hangs itself in a call of the output. The callers of `submit` and of
-`failed` notice it.
+this module. If an output fails, the thread closes it and opens it again after a growing delay. It counts the motion of
+that time as unsent. An output that reports trouble of its receiver stays open and gets empty reports until it recovers.
+The thread cannot notice that it hangs itself in a call of the output. The callers of `submit` and of `failed` notice
+it.
 
 On every axis: submitted counts = sent + unsent - ahead. Counts that the output's other end has not acknowledged were
 not sent.

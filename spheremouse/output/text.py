@@ -1,9 +1,8 @@
 """`text:-` and `text:FILE[,format=json|counts|reports|fictrac]`: write reports as lines.
 
 Lines to a stream are flushed one by one, and those to a regular file twice a second. The output appends to FILE, so a
-second run or a full disk costs no line. Each opening writes the
-header line of the format again, if it has one. A file with other contents is refused. `reports` writes the counts that
-a mouse would get, also those between two frames.
+second run or a full disk costs no line. Each opening writes the header line of the format again, if it has one. A file
+with other contents is refused. `reports` writes the counts that a mouse would get, also those between two frames.
 """
 
 import contextlib

@@ -38,7 +38,7 @@ class BallRun(NamedTuple):
     frames: int  # that were given, also those before the first that was tracked
 
 
-class SecondCamera(NamedTuple):
+class FurtherCamera(NamedTuple):
     """A further camera of the same ball."""
 
     frames: Iterator[Frame]
@@ -77,7 +77,7 @@ def run_ball(
     settings: Settings,
     known: BallMap | None = None,
     log: Callable[[str], None] = lambda _: None,
-    others: Sequence[SecondCamera] = (),
+    others: Sequence[FurtherCamera] = (),
 ) -> BallRun:
     """Track frames, with a `known` map of the ball or without. `log` gets the problem of first views without a pose.
 

@@ -108,7 +108,7 @@ class RunConfig:
     without_changes: Configuration = field(default_factory=Configuration)  # without the changes by `ctl set`
     saved: tuple[str, ...] = ()  # KEY=VALUE, by the service
     notice: str = ""  # what was saved, or why it is ignored
-    second: "SecondCamera | None" = None
+    second: SecondCamera | None = None
 
     @property
     def cameras(self) -> tuple["RunConfig", ...]:
@@ -193,7 +193,18 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         raise ConfigurationError(f"source: {source} is given twice; name another camera, or leave one out")
     second = SecondCamera(more[0], rigs[1], rig_paths[1]) if more else None
     return RunConfig(
-        *(c, source, outputs, rig, rig_path, camera, camera_path, map_file, balls, ball_paths, without_changes, saved),
+        c,
+        source,
+        outputs,
+        rig,
+        rig_path,
+        camera,
+        camera_path,
+        map_file,
+        balls,
+        ball_paths,
+        without_changes,
+        saved,
         second=second,
     )
 

@@ -220,15 +220,16 @@ class Daemon:
         replay, waiting = self._setup.replay, self.adapter.waiting
         if replay is not None and replay.is_first(arrival.raw) and not waiting:
             self.adapter.restart("the recording begins")
+        shown = arrival.camera == self._captures.main
         try:
             made = self._worker.work(arrival, colour=self._archive.wants_colour)
             if made is not None:
                 if self._monitor.state is not State.TRACKING:
                     self._update_state(now)  # log the state before anything moves
-                self._publish(made, arrival.taken)
-            elif self._worker.untracked is not None and arrival.camera == self._captures.main:
+                self._publish(made, arrival.taken, shown=shown)
+            elif self._worker.untracked is not None and shown:
                 self._archive.look(self._worker.untracked, self.adapter)
-            if arrival.camera == self._captures.main:
+            if shown:
                 self._pictures.show(now, arrival.raw, self.adapter, made)
         finally:
             if replay is not None and waiting and not self.adapter.waiting:
@@ -236,11 +237,11 @@ class Daemon:
             self._worker.forget()
             arrival.raw.release()
 
-    def _publish(self, made: FrameResult, taken: float) -> None:
+    def _publish(self, made: FrameResult, taken: float, *, shown: bool) -> None:
         """Pass the result of a frame on, to the outputs first. Those that may block have threads of their own.
 
         `taken` is the frame's mid-exposure, s of time.monotonic. The latency of the samples ends here; that of the
-        status ends when the output has sent.
+        status ends when the output has sent. `shown`: it is of the camera whose pictures are kept.
         """
         latency = time.monotonic() - taken
         wall = time.time() - latency
@@ -250,7 +251,7 @@ class Daemon:
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         self._outputs.submit(report, taken, wanted=wanted)
         # Archive and view get the image, too, whose buffer is released after this.
-        if made.frame.camera == self._captures.main:
+        if shown:
             self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
         self._endpoints.submit(report)

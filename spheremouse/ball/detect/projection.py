@@ -17,10 +17,7 @@ from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.geometry.rotation import Array
 
 # In radii of a disc: pixels of the disc and of the ball around it, without the rim
-_CORE_RADII, _SURROUND_RADII = (
-    0.5,
-    (1.5, 2.2),
-)
+_CORE_RADII, _SURROUND_RADII = 0.5, (1.5, 2.2)
 _MIN_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
 _MIN_DISCS = 3
 _ROW_STEP = 4  # the noise is measured in every fourth row

@@ -47,7 +47,7 @@ from spheremouse.native import kernels
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _NONE = np.zeros(0, dtype=np.intp)
-_RARE = 1e-3  # probability per frame below which chance does not explain the pairs
+_RARE = kernels.RARE  # probability per frame below which chance does not explain the pairs
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them

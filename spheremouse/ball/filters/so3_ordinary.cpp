@@ -6,7 +6,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double RARE = 1e-3;  // probability per frame below which chance explains no pair, as in so3.py
+constexpr double RARE = 1e-3;  // probability per frame below which chance does not explain the pairs
 
 struct Updated {
     Pairs pairs;
@@ -75,6 +75,7 @@ nb::object update_ordinary_(nb::tuple body_, nb::tuple points_, nb::tuple camera
 }  // namespace
 
 void bind_so3_ordinary(nb::module_& m) {
+    m.attr("RARE") = RARE;
     m.def("update_ordinary", &update_ordinary_, arg("body"), arg("points"), arg("camera"), arg("sightings"),
           arg("pending"), arg("activity"));
 }

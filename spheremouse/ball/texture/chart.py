@@ -58,9 +58,8 @@ class Resampling(NamedTuple):
 
     window: tuple[slice, slice]  # rows and columns of the ball in the image
     width: int  # px, of the mean that stands for a pixel of the chart
-    at: tuple[
-        NDArray[np.int32], NDArray[np.uint16]
-    ]  # of each pixel of the chart in the window, as `resample_chart` has it
+    # Of each pixel of the chart: its place in the window, as `resample_chart` takes it
+    at: tuple[NDArray[np.int32], NDArray[np.uint16]]
 
     def __call__(self, image: Image) -> Image:
         """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size)."""

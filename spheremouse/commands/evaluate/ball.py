@@ -23,7 +23,7 @@ from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.evaluate import BallRun, SecondCamera, ball_reports, joined, numbered_frames, rig_of, run_ball
+from spheremouse.session.evaluate import BallRun, FurtherCamera, ball_reports, joined, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.events import degraded
 
@@ -120,7 +120,7 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
     if beside is not None:
         seen = section(numbered_frames(beside, recording.frames), options.begin, options.end)
         seen = degraded(iter(seen), options.noise, options.brightness)
-        others.append(SecondCamera(seen, _with_pose(beside.rig, beside, options), beside.turn))
+        others.append(FurtherCamera(seen, _with_pose(beside.rig, beside, options), beside.turn))
     since = recording.seconds - recording.seconds[0]
     total = int(np.count_nonzero((since >= options.begin) & (since < options.end)))
     with terminal.progress_bar() as progress:

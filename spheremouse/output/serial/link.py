@@ -98,10 +98,7 @@ class Link:
         self._session = 0  # requested or current; 0: there is no port
         self._hello_time = 0.0
         # Counts at the session's start, and counters of the last ACK
-        self._at_start, self._acknowledged = (
-            [0] * 4,
-            [0] * 4,
-        )
+        self._at_start, self._acknowledged = [0] * 4, [0] * 4
         self._targets = _Targets(self.confirmed)
         self._sent_buttons = 0
         self._number, self._answered = 0, -1  # of the next frame, and of the last one answered

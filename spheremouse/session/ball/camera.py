@@ -96,12 +96,14 @@ class PosedCamera:
             return self.waiting
         if self.late > _MAX_LATE:
             return f"its frames are {1e3 * self.lag:.0f} ms older than those of the other camera: give both one mode"
-        part = None if state is None else part_of(state, self.number)
-        if self._agreement < _MIN_AGREEMENT and state is not None and state.status is Status.TRACKING:
+        if state is None:
+            return ""
+        if self._agreement < _MIN_AGREEMENT and state.status is Status.TRACKING:
             return (
                 "its discs are not where the other camera has them: uncover its view; if it was moved, initialise it "
                 "again; if it sees other targets than the other camera, run `spheremouse calibrate tie`"
             )
+        part = part_of(state, self.number)
         moving_since = None if part is None or part.watch is None else part.watch.away
         if part is not None and moving_since is not None and part.shown_at - moving_since > _MAX_MOVING_S:
             return "it was moved, and its new pose is not found: uncover its targets"
