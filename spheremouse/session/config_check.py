@@ -19,7 +19,7 @@ from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.finding import Finding, Verdict
 from spheremouse.session.config_reloader import AT_START
-from spheremouse.session.run_config import beside
+from spheremouse.session.run_config import beside, contradictions
 from spheremouse.session.settings import Configuration
 
 T = TypeVar("T")
@@ -48,9 +48,7 @@ def validate(file: Path, c: Configuration) -> Found:
     _files(file, c, found)
     for source in c.sources:
         _probe(("source",), capture.probe, source, found)
-    if c.rigs and c.sources and len(c.rigs) != len(c.sources):
-        problem = f"{len(c.rigs)} and not {len(c.sources)}, the number of sources; give one rig file for each source"
-        found.wrong.append(Problem(("rig",), problem))
+    found.wrong += [Problem((key,), problem) for key, problem in contradictions(c)]
     for name, assignments in c.profiles.items():
         at_start = (key for key in map(key_of, assignments) if key.partition(".")[0] in AT_START)
         found.wrong += [

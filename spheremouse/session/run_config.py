@@ -4,7 +4,7 @@ It is read as a whole or not at all, so a reload never leaves the daemon between
 """
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -173,11 +173,8 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
             "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
             '(in quotes, "null", where motion is to go nowhere)'
         )
-    if repeated := next((spec for k, spec in enumerate(outputs) if spec in outputs[:k]), None):
-        raise ConfigurationError(f"output: {repeated} is given twice; leave one out")
-    if c.map is not None and c.tracker != "so3" and not overrides.no_map:
-        raise ConfigurationError(f"map: tracker {c.tracker} keeps no map; use so3, or leave the map out")
-    _check_pairs(c)
+    for key, text in contradictions(replace(c, map=None) if overrides.no_map else c):
+        raise ConfigurationError(f"{key}: {text}")
     camera_path, map_file = (beside(overrides.file, name) for name in (c.camera_file, c.map))
     rig_paths = [beside(overrides.file, name) for name in c.rigs] or [None] * len(c.sources)
     rigs = [None if path is None else load_rig(path) for path in rig_paths]
@@ -189,8 +186,6 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         map_file = _usual_map(rig_path, map_kind(rig, c))
     ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
     balls, (source, *more) = read_balls(ball_paths), map(sources.full_spec, c.sources)
-    if source in more:
-        raise ConfigurationError(f"source: {source} is given twice; name another camera, or leave one out")
     second = SecondCamera(more[0], rigs[1], rig_paths[1]) if more else None
     return RunConfig(
         c,
@@ -209,17 +204,27 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
     )
 
 
-def _check_pairs(c: Configuration) -> None:
-    """Raise ConfigurationError if sources and rigs do not belong to each other."""
-    if c.rigs and len(c.rigs) != len(c.sources):
-        raise ConfigurationError(
-            f"rig: {len(c.rigs)} and not {len(c.sources)}, the number of sources; give one rig file for each source, "
-            "in the same order"
+def contradictions(c: Configuration) -> Iterator[tuple[str, str]]:
+    """Yield the key and the problem of each setting that another one excludes."""
+    outputs, names = c.outputs, tuple(map(sources.full_spec, c.sources))
+    yield from (
+        ("output", f"{spec} is given twice; leave one out") for k, spec in enumerate(outputs) if spec in outputs[:k]
+    )
+    if c.map is not None and c.tracker != "so3":
+        yield "map", f"tracker {c.tracker} keeps no map; use so3, or leave the map out"
+    if c.rigs and names and len(c.rigs) != len(names):
+        yield (
+            "rig",
+            f"{len(c.rigs)} and not {len(names)}, the number of sources; give one rig file for each source, in the "
+            "same order",
         )
-    if len(c.sources) > 1 and c.camera_file is not None:
-        raise ConfigurationError("camera_file: belongs to one camera; of two, write each camera into its rig file")
-    if len(c.sources) > 1 and c.tracker != "so3":
-        raise ConfigurationError(f"source: tracker {c.tracker} takes one camera; use so3, or give one source")
+    if len(names) > 1:
+        if c.camera_file is not None:
+            yield "camera_file", "belongs to one camera; of two, write each camera into its rig file"
+        if c.tracker != "so3":
+            yield "source", f"tracker {c.tracker} takes one camera; use so3, or give one source"
+        if names[0] == names[1]:
+            yield "source", f"{names[0]} is given twice; name another camera, or leave one out"
 
 
 def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:

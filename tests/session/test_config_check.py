@@ -59,6 +59,8 @@ def test_a_size_that_the_camera_was_not_calibrated_at_is_wrong(checked, calibrat
         ("source: synthetic:motion=dance", "source: synthetic: motion"),
         ("source: opencv:front", "source: opencv:front: needs the number of a camera"),
         ("source: dataset:/nowhere/roll", "source: /nowhere/roll: not there; check the path"),
+        ("output: [null:, uinput, uinput]", "output: uinput is given twice; leave one out"),
+        ("source: [synthetic, synthetic]", "source: synthetic is given twice; name another camera"),
         ("output: uimput", "output: unknown output 'uimput'; "),
         ("output: uinput:third=whel", "output: uinput: third=whel; write third= with one of none, wheel, rz"),
         ("output: 'serial:auto,baud=1'", "output: serial: baud=1: must be from 38400"),
@@ -98,6 +100,12 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
         "demo/none: does not exist in this folder",
         "/dev/ttyACM97 does not exist",
     ]
+
+
+def test_a_map_with_a_tracker_that_keeps_none_is_told(checked):
+    code, (said,) = checked("tracker: ekf1", "map: rig.map.yaml")
+    assert (code, said.partition(": ")[0]) == (2, "c.yaml:3")
+    assert "map: tracker ekf1 keeps no map" in said
 
 
 def test_a_map_of_another_ball_is_told(checked, tmp_path, monkeypatch):
