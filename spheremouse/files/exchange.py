@@ -8,7 +8,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import config, safe_files
+from spheremouse.files import config, plain_json, safe_files
 from spheremouse.files.edit import put
 from spheremouse.files.validate import CONFIG_SHOW, nearest
 from spheremouse.files.yaml import SCHEMAS, Document, parse_value, read_document
@@ -22,9 +22,10 @@ def exported(settings: Settings) -> str:
 
 
 def imported(settings: Settings, document: Document) -> dict[str, Any]:
-    """Return the values of a document, by dotted key, that are not in force."""
-    known = {about["key"]: about["value"] for about in settings}
-    return {key: v for key, v in read_settings(document).items() if key not in known or known[key] != v}
+    """Return the values of a document, by dotted key, that are not in force. A list is equal to a tuple."""
+    known = {about["key"]: plain_json.tuples(about["value"]) for about in settings}
+    read = read_settings(document).items()
+    return {key: v for key, v in read if key not in known or known[key] != plain_json.tuples(v)}
 
 
 def defaults(settings: Settings, keys: Iterable[str]) -> dict[str, Any]:

@@ -22,6 +22,8 @@ from typer.testing import CliRunner
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands.ctl import words as said_of
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.exchange import imported
+from spheremouse.files.yaml import parse_document
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
 from spheremouse.output.sample import Sample
@@ -294,6 +296,13 @@ def test_export_import_and_reset_set_what_differs(ctl, daemon, tmp_path):
         with pytest.raises(ConfigurationError, match=reason):
             ctl(*words)
     assert {request.command for request in daemon.asked} == {"settings"}
+
+
+def test_an_import_sets_no_list_that_is_in_force():
+    """A member of the group may not set `output`."""
+    document = parse_document("output: [uinput, 'text:-']\n", "settings.yaml")
+    assert imported([{"key": "output", "value": ["uinput", "text:-"]}], document) == {}
+    assert imported([{"key": "output", "value": ["uinput"]}], document) == {"output": ("uinput", "text:-")}
 
 
 # ---- save ----
