@@ -91,8 +91,11 @@ def man_page() -> str:
 _END = r"""
 .SH EXIT STATUS
 0: done. 2: an error that you can correct. 70: a fault of the program. 128 plus a signal's number: ended by that signal.
+Commands that go on until a signal end with 0.
+.BR doctor ", " "firmware check" " and " "service status"
+end with 1 if they find a fault.
 .B spheremouse ctl
-also ends with 1 if the daemon refuses, and 3 without a daemon.
+ends with 1 if the daemon refuses, and 3 without a daemon.
 .SH ENVIRONMENT
 .TP
 .B SPHEREMOUSE_SOCKET
