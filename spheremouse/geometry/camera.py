@@ -1,7 +1,7 @@
 """Camera model: interior orientation (pinhole with OpenCV's five distortion terms), exterior orientation, projection.
 
 The functions convert points, circles and spheres in `cam` to pixels, and pixels to rays, and return the Jacobian. Pixel
-(0, 0) is the centre of the top-left pixel. Model: Wittich 2017, eq. 69-76 (errata in docs/conventions.md), in OpenCV's
+(0, 0) is the centre of the top-left pixel. Model: Wittich 2017, eq. 69-76 (errata in docs/theses.md), in OpenCV's
 order k1 k2 p1 p2 k3.
 """
 
