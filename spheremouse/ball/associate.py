@@ -31,12 +31,14 @@ def identify(
     view_axis: ArrayLike,
     horizon: float = 0.0,
     risk: float = 0.1,
+    min_sigma: float | None = None,
 ) -> Identification | None:
     """Find the rotation between directions seen, (n, 3) unit vectors, and a map, (m, 3) unit vectors in `ball`.
 
-    `sigma` rad is the standard deviation of a direction per axis, correct within a factor of 1.5. `view_axis` (3,) is
-    the unit vector from the ball to the camera in the frame of `directions`. Map directions with a cosine to it below
-    `horizon` are rarely visible. A row of nan is a miss.
+    `sigma` rad is the standard deviation of a direction per axis, correct within a factor of 1.5. If it is less
+    certain, give the greatest possible one, and the least one as `min_sigma`. `view_axis` (3,) is the unit vector from
+    the ball to the camera in the frame of `directions`. Map directions with a cosine to it below `horizon` are rarely
+    visible. A row of nan is a miss.
 
     Returns None if fewer than three directions match the map, or if the result is wrong with a probability above
     `risk`. The causes are too few or too coarse directions, a layout similar to itself in another attitude, or another
@@ -46,6 +48,8 @@ def identify(
     """
     if not 0.0 < sigma < np.inf:
         raise ValueError(f"sigma {sigma} is no standard deviation: give rad, above 0")
+    if min_sigma is not None and not 0.0 < min_sigma <= sigma:
+        raise ValueError(f"min_sigma {min_sigma} is no standard deviation up to {sigma}: give rad, above 0")
     if not -1.0 < horizon < 1.0:
         raise ValueError(f"horizon {horizon} is no cosine of a limb: give a number between -1 and 1")
     if not 0.0 < risk < 1.0:
@@ -57,7 +61,7 @@ def identify(
         raise ValueError("view_axis must be one unit vector, (3,)")
     if len(seen) < 3 or len(known) < 3:
         return None
-    found = attitude(seen, known, float(sigma), towards[0], float(horizon))
+    found = attitude(seen, known, float(sigma), towards[0], float(horizon), min_sigma=min_sigma)
     if found is None or not found.error_probability <= risk:
         return None
     pairs = np.stack([rows[found.pairs[:, 0]], columns[found.pairs[:, 1]]], axis=1)

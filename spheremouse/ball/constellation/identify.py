@@ -7,6 +7,7 @@ probability by Bayes' rule.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,16 @@ class Attitude:
     error_probability: float  # of another attitude or another map
 
 
+class _Refined(NamedTuple):
+    """Attitudes that directions of the same standard deviation match best."""
+
+    rotation: Array  # (h, 3, 3)
+    columns: NDArray[np.intp]  # (h, n) index of the known direction of each seen one, or -1
+    information: Array  # (h, 3, 3) 1/rad²
+    log_evidence: Array  # (h,)
+    two_match_log_evidence: float  # of all attitudes with two matches
+
+
 def attitude(
     seen: Array,
     known: Array,
@@ -60,11 +71,13 @@ def attitude(
     view_axis: Array,
     horizon: float,
     model: IdentificationPrior = IdentificationPrior(),
+    min_sigma: float | None = None,
 ) -> Attitude | None:
     """Return the most probable rotation of `known`, (m, 3) unit vectors, to `seen`, (n, 3); None without three matches.
 
-    `sigma` is rad per axis. `view_axis` (3,) points to the camera, in the frame of `seen`, and `horizon` is the least
-    cosine with it of a visible disc. The probability is exact if the model holds.
+    `sigma` is rad per axis. With `min_sigma`, the logarithm of the standard deviation has a uniform prior between both.
+    `view_axis` (3,) points to the camera, in the frame of `seen`, and `horizon` is the least cosine with it of a
+    visible disc. The probability is exact if the model holds.
     """
     central = np.sort(np.argsort(-(seen @ view_axis), kind="stable")[: model.max_directions])
     points = np.ascontiguousarray(seen[central])
@@ -79,31 +92,60 @@ def attitude(
         model.false_mean,
         2.0 * math.pi * (1.0 - horizon),
     )
-    gain = observation.max_log_likelihood_ratio(sigma * sigma)
-    if gain <= 0.0:  # a false direction explains as much as a disc
+    sigmas = _sigma_grid(sigma if min_sigma is None else min_sigma, sigma, model)
+    tried = [_refined(points, known, each, view_axis, observation, model) for each in sigmas]
+    found = [refined for refined in tried if refined is not None]
+    if not any(len(refined.rotation) for refined in found):
         return None
-    groups = max(1, n // model.group_size)
-    tolerance = model.pair_sigmas * math.sqrt(2.0) * sigma
-    hypotheses = kernels.Hypotheses(points, known, groups, tolerance, model.max_hypotheses)
-    starts = hypotheses.best(sigma, gain, model.score_margin, model.max_attitudes)
-    if len(starts) == 0:
-        return None
-    cosine = np.clip(points @ view_axis, 0.3, 1.0)  # nearer the limb a disc is a line, without noise of pixels
-    variance = sigma * sigma * (1.0 + 0.5 * model.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
-    R, columns, information, value = observation.refine_attitudes(starts, points, known, variance, model.first_variance)
     discs_in_sight = 0.5 * len(known) * (1.0 - horizon)  # another ball has as many discs
     other = observation.false_log_density(n, discs_in_sight) + math.log(
         model.other_probability / (1.0 - model.other_probability)
     )
-    size, larger = divmod(n, groups)
-    pairs = groups * size * (size - 1) // 2 + larger * size  # within the groups
-    two = observation.two_match_log_evidence(hypotheses, variance, model.sample_size)
-    two += math.log(n * (n - 1) / 2 / pairs)
-    best, error = posterior_error(R, information, value, float(np.logaddexp(other, two)), model.same_gate)
+    two = np.logaddexp.reduce([refined.two_match_log_evidence for refined in found])
+    R, columns, information, value = (np.concatenate(part) for part in list(zip(*found, strict=True))[:4])
+    null = float(np.logaddexp(other, two - math.log(len(sigmas))))
+    best, error = posterior_error(R, information, value - math.log(len(sigmas)), null, model.same_gate)
     rows = np.flatnonzero(columns[best] >= 0)
     if len(rows) < 3 or not math.isfinite(value[best]):
         return None
     return Attitude(R[best].copy(), np.stack([central[rows], columns[best][rows]], axis=1), error)
+
+
+def _sigma_grid(least: float, most: float, model: IdentificationPrior) -> Array:
+    """Return standard deviations, (k,), from `least` to `most` rad, with no gap between their `sigma_scales`."""
+    low, *_, high = model.sigma_scales
+    steps = math.ceil(math.log(most / least) / math.log(high**2 / low) - 1e-9)
+    return np.geomspace(most, least, steps + 1)
+
+
+def _refined(
+    points: Array,
+    known: Array,
+    sigma: float,
+    view_axis: Array,
+    observation: kernels.ObservationModel,
+    model: IdentificationPrior,
+) -> _Refined | None:
+    """Return the attitudes of `known` that directions with an error of `sigma` rad match best.
+
+    Returns None if a false direction explains as much as a disc.
+    """
+    gain = observation.max_log_likelihood_ratio(sigma * sigma)
+    if gain <= 0.0:
+        return None
+    n = len(points)
+    groups = max(1, n // model.group_size)
+    tolerance = model.pair_sigmas * math.sqrt(2.0) * sigma
+    hypotheses = kernels.Hypotheses(points, known, groups, tolerance, model.max_hypotheses)
+    starts = hypotheses.best(sigma, gain, model.score_margin, model.max_attitudes)
+    cosine = np.clip(points @ view_axis, 0.3, 1.0)  # nearer the limb a disc is a line, without noise of pixels
+    variance = sigma * sigma * (1.0 + 0.5 * model.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
+    R, columns, information, value = observation.refine_attitudes(starts, points, known, variance, model.first_variance)
+    size, larger = divmod(n, groups)
+    pairs = groups * size * (size - 1) // 2 + larger * size  # within the groups
+    two = observation.two_match_log_evidence(hypotheses, variance, model.sample_size)
+    two += math.log(n * (n - 1) / 2 / pairs)
+    return _Refined(R, columns, information, value, two)
 
 
 def posterior_error(
@@ -114,11 +156,12 @@ def posterior_error(
     R (h, 3, 3) are h >= 1 attitudes of equal prior probability. Their information, (h, 3, 3) 1/rad², has the axes of
     the frame of `seen`. `log_evidence`, (h,), is -inf for a repeated attitude, which would count twice. The other
     explanations together have `null_log_evidence`. An attitude counts as the best one if its squared Mahalanobis
-    distance from that is below `gate`.
+    distance from that is below `gate`, by the information of either.
     """
     best = int(np.argmax(log_evidence))
     error = log(R @ R[best].T)
-    same = np.einsum("hi,ij,hj->h", error, information[best], error) < gate
+    of_best, own = (np.einsum("hi,hij,hj->h", error, A, error) for A in (information[best, None], information))
+    same = np.minimum(of_best, own) < gate
     same[best] = True
     weight = np.exp(np.append(log_evidence, null_log_evidence) - max(log_evidence[best], null_log_evidence))
     return best, float((weight[-1] + weight[:-1][~same].sum()) / weight.sum())

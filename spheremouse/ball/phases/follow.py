@@ -30,6 +30,7 @@ _CERTAIN = math.log(0.999)  # log probability from which the most probable attit
 _CLEAR_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
+_MIN_SIGMA = 2e-4  # rad, the least one: 0.1 mm on a ball of 1 m, to which discs are laid and measured
 
 
 def follow(
@@ -174,7 +175,12 @@ def recognised_attitude(
     After a short gap the rate follows from the last confirmed attitude. After a long gap it is unknown.
     """
     points = state.points
-    placed = state.filter.map_sigma() < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
+    map_sigma = state.filter.map_sigma()
+    placed = map_sigma < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
+    if len(points) < 3 or np.count_nonzero(placed) < 3:
+        return None
+    noise = np.trace(points.image_covariance, axis1=1, axis2=2) / (2.0 * tracker.rig.ball.radius**2)
+    least = math.sqrt(float(np.median(noise) + np.median(map_sigma[placed] ** 2)))  # errors of pose and ball add to it
     known = identify(
         points.direction,
         state.filter.discs[placed],
@@ -182,6 +188,7 @@ def recognised_attitude(
         view_axis=tracker.filter.towards_camera,
         horizon=tracker.filter.horizon,
         risk=1e-3,
+        min_sigma=min(max(least, _MIN_SIGMA), IDENTIFY_SIGMA),
     )
     if known is None:
         return None
