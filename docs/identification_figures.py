@@ -1,4 +1,4 @@
-"""The figures of docs/identification.md: python docs/identification_figures.py [FAR26_DIR] [--trials N].
+"""The figures of docs/identification.md: python docs/identification_figures.py [FAR26_DIR] [--trials N] [--only TITLE].
 
 Print all tables, and write the first one to the end of that page. The page quotes the others. With 30,000 attitudes it
 takes about ten minutes. The trial's number is the seed, so the same command gives the same tables except for the times.
@@ -14,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.ball.associate import Identification, identify
+from spheremouse.ball.build import begin, build
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import advance
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
+from spheremouse.simulate.ball.scene import spread_directions
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25
@@ -280,11 +288,61 @@ def speed(trials: int) -> str:
     return table(["discs", "sigma", *HEAD], rows)
 
 
+RESTART_POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+RESTART_RIG = Rig(
+    InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0),
+    Ball(0.6),
+    Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)),
+    0.02,
+)
+FPS, CENTRE_SIGMA, MAP_SIGMA = 30, 0.05, 3e-4  # 1/s, px, rad
+WRONG = 0.01  # rad: ten standard deviations of the attitude by three discs
+
+
+def restarted(discs: np.ndarray, seed: int, seconds: int) -> tuple[float, bool]:
+    """Return s until a tracker uses the saved map of `discs`, (m, 3), among ten false points, and whether it is wrong.
+
+    The ball starts from rest with 1 rad/s² about a random axis. The false points stay. inf: never within `seconds`.
+    """
+    rng, m = np.random.default_rng([seed, len(discs)]), len(discs)
+    tracker = build(RESTART_RIG, RESTART_POSE, Settings())
+    start, axis, false = attitude(rng), unit(rng.normal(size=3)), anywhere(10, LIMB, rng)
+    state = begin(tracker, 0.0, known=DiscMap(discs, MAP_SIGMA**2 * np.eye(2 * m), np.full(m, 100)))
+    for frame in range(seconds * FPS + 1):
+        t = frame / FPS
+        R = exp(0.5 * t * t * axis) @ start
+        p = discs @ R.T
+        points = np.vstack([p[p[:, 2] > LIMB], false])
+        uv = project(RESTART_POSE.to_cam(RESTART_RIG.ball.radius * points), RESTART_RIG.camera)[0]
+        uv += CENTRE_SIGMA * rng.normal(size=uv.shape)
+        seen = Detections(uv, np.tile(CENTRE_SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
+        state = advance(state, t, seen, tracker).state
+        if state.absolute:
+            return t, bool(np.linalg.norm(log(state.filter.attitude @ R.T)) > WRONG)
+    return np.inf, False
+
+
+def restart(trials: int) -> str:
+    """Return the table of starts with a saved map among ten false points."""
+    rows = []
+    for name, m in (("well spread", 8), ("well spread", 10), ("well spread", 12), ("random", 12), ("random", 26)):
+        runs = []
+        for k in range(trials):
+            rng = np.random.default_rng([m, k])
+            discs = spread_directions(m, 0.2, rng) if name == "well spread" else scattered(m, 0.2, rng)
+            runs.append(restarted(discs, k, 3))
+        used, wrong = np.array(runs).T
+        shares = [f"{100.0 * np.mean(used <= limit):.1f}" for limit in (0.0, 1.0, 3.0)]
+        rows.append([f"{m} {name}", *shares, f"{int(wrong.sum())} of {trials}"])
+    return table(["discs", "used in the first frame, %", "within 1 s, %", "within 3 s, %", "wrong"], rows)
+
+
 def main() -> None:
     """Print the tables and write the first one."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("far26", type=Path, nargs="?", help="folder of the reference recording, for its layout")
     parser.add_argument("--trials", type=int, default=30_000)
+    parser.add_argument("--only", metavar="TITLE", help="print only the table with this title, and write nothing")
     options = parser.parse_args()
     maps = {"26 random": pool(26, 0.2)}
     if options.far26:
@@ -306,12 +364,16 @@ def main() -> None:
             f"{n // 10} balls of 20 dots each. Percent right / percent wrong.",
             lambda: photographs(n // 10),
         ),
+        ("Restart", f"{n // 125} starts each, ten false points.", lambda: restart(n // 125)),
         ("Time", f"{n // 30} attitudes each, 20 % missing, one false; one thread.", lambda: speed(n // 30)),
     ]
-    text = [f"## {title}\n\n{note}\n\n{make()}\n" for title, note, make in parts]
+    chosen = [part for part in parts if options.only in (None, part[0])]
+    text = [f"## {title}\n\n{note}\n\n{make()}\n" for title, note, make in chosen]
+    print("\n".join(text))
+    if options.only:
+        return
     page = Path(__file__).with_name("identification.md")
     page.write_text(page.read_text().split(MARK)[0] + MARK + "\n\n" + text[0])
-    print("\n".join(text))
 
 
 if __name__ == "__main__":

@@ -179,6 +179,7 @@ class TrackState(NamedTuple, Generic[F]):
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
     older: F | None = None  # with the map before the last new one, in case that was of an object before the ball
+    older_searches: int = 0  # of an older map that an earlier session saved, and one more; 0: it is of this session
     confirmed: bool = False  # the last frame's discs confirm the attitude
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked

@@ -9,11 +9,12 @@ from numpy.testing import assert_allclose
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.events import Turned
+from spheremouse.ball.events import NewMap, Recognised, Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance
 from spheremouse.geometry.rotation import exp, hat, log
 from spheremouse.simulate.ball.profile import Gestures, stroke
+from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.tracker import Status
 
 
@@ -64,6 +65,42 @@ def test_a_saved_map_is_used_among_false_candidates(number, spread):
                 unconfirmed += not state.confirmed
     assert recognised >= 19
     assert unconfirmed < 0.005 * 20 * 30
+
+
+def test_a_map_of_twelve_discs_is_used_within_a_second_among_false_candidates():
+    """Discs well spread, so that three come into view: their small residuals prove them."""
+    tracker, times = build(RIG, POSE, Settings()), []
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        discs, first = spread_directions(12, 0.2, rng), any_attitude(rng)
+        false, axis = pixels(false_candidates(10, rng, None)), rng.normal(size=3)
+        state = begin(tracker, 0.0, known=saved_map(discs))
+        for k in range(30):
+            R = exp(axis / np.linalg.norm(axis) * 0.5 * (k * DT) ** 2) @ first
+            uv = np.concatenate([pixels(in_view(R, discs)), false])
+            state, _, _ = advance(state, k * DT, detected(uv, rng), tracker)
+            if state.absolute:
+                assert tilt(state, R) < 0.01
+                times.append(k * DT)
+                break
+    assert len(times) >= 19
+
+
+def test_a_saved_map_is_recognised_after_a_new_one_began():
+    """Two discs and ten bolts are in view for two seconds; then a cover goes, and six discs are."""
+    tracker, events = build(RIG, POSE, Settings()), []
+    for seed in range(5):
+        rng = np.random.default_rng([6, seed])
+        R, false = any_attitude(rng), pixels(false_candidates(10, rng, None))
+        state, discs = begin(tracker, 0.0, known=saved_map(DISCS)), in_view(R)[:6]
+        for k in range(65):
+            uv = np.concatenate([pixels(discs if k >= 60 else discs[:2]), false])
+            state, _, more = advance(state, k * DT, detected(uv, rng), tracker)
+            events += more
+        assert state.absolute
+        assert tilt(state, R) < 3e-3
+    assert [type(e) for e in events if isinstance(e, NewMap | Recognised)] == 5 * [NewMap, Recognised]
+    assert all(e.saved and e.older for e in events if isinstance(e, Recognised))
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])

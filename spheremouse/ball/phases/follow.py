@@ -30,6 +30,7 @@ _CERTAIN = math.log(0.999)  # log probability from which the most probable attit
 _CLEAR_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
+RISK = 1e-3  # probability of error up to which the map gives the attitude
 _MIN_SIGMA = 2e-4  # rad, the least one: 0.1 mm on a ball of 1 m, to which discs are laid and measured
 
 
@@ -167,7 +168,7 @@ def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> Tr
 
 
 def recognised_attitude(
-    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], risk: float = RISK
 ) -> tuple[So3State, int] | None:
     """Return the filter with the attitude from the map alone, and the number of discs; None if it is not certain.
 
@@ -187,7 +188,7 @@ def recognised_attitude(
         sigma=IDENTIFY_SIGMA,
         view_axis=tracker.filter.towards_camera,
         horizon=tracker.filter.horizon,
-        risk=1e-3,
+        risk=risk,
         min_sigma=min(max(least, _MIN_SIGMA), IDENTIFY_SIGMA),
     )
     if known is None:

@@ -33,8 +33,13 @@ def _next_phase(
     match state.phase:
         case Recognising():
             return recognise(state, state.phase, stamp, tracker)
-        case Learning():
-            before, (state, events) = state, learn(state, state.phase, stamp, tracker, predicted)
+        case Learning() as phase:
+            # a still scene adds no evidence, so only another number of points is a reason to search again
+            if state.older is not None and phase.views and len(phase.views[-1].points) != len(state.points):
+                state, events = recognise_older_map(state, stamp, tracker)
+                if events:
+                    return state, events
+            before, (state, events) = state, learn(state, phase, stamp, tracker, predicted)
             if tracker.detector.is_exact:
                 state, more = check_learning(before, state, stamp, tracker)
                 events = (*events, *more)
@@ -42,9 +47,9 @@ def _next_phase(
         case Tracking():
             before, known, state = state, len(state.filter.discs), follow(state, stamp, tracker, predicted)
             if state.older is not None and state.confirmed and len(state.filter.discs) > known:
-                on_older_map = recognise_older_map(state, stamp, tracker)
-                if on_older_map is not None:
-                    return on_older_map
+                state, events = recognise_older_map(state, stamp, tracker)
+                if events:
+                    return state, events
             exact = tracker.detector.is_exact and state.filter.stamp == stamp  # else the frame is not used
             return check_bearings(before, state, stamp, tracker, predicted) if exact else (state, ())
         case Lost():

@@ -7,7 +7,7 @@ from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.bearing import back_on_bearings
-from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, recognised_attitude, updated_hypotheses
+from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, RISK, recognised_attitude, updated_hypotheses
 from spheremouse.ball.phases.learn import found, learn
 from spheremouse.ball.state import (
     BufferedFrame,
@@ -74,8 +74,7 @@ def recover(
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
     recognised = resting or recognised_attitude(state, stamp, tracker)
     if recognised is None and state.older is not None:
-        recognised = recognised_attitude(state._replace(filter=state.older), stamp, tracker)
-        state = state if recognised is None else state._replace(older=None)
+        state, recognised = _on_older_map(state, stamp, tracker)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
         last, reported = phase.last, state.reported_attitude
@@ -141,7 +140,8 @@ def try_new_map(
     filtered = tried.filter.clone_attitude()
     maps = [state.filter] if state.older is None else [state.filter, state.older]
     older = max(maps, key=lambda filter_state: int(np.sum(filter_state.hits)))
-    tried = start_tracking(tried, Tracking(), filtered, filtered.attitude, stamp)._replace(older=older)
+    tried = start_tracking(tried, Tracking(), filtered, filtered.attitude, stamp)
+    tried = tried._replace(older=older, older_searches=state.older_searches if older is state.older else 0)
     return tried, (NewMap(), *events)
 
 
@@ -176,7 +176,8 @@ def recognise(
     """Return the state and events after a frame in which the attitude on a saved map is unknown.
 
     If recognition is certain, the attitude becomes absolute, and motion counts from it. If it fails for
-    `loss.reset_after` s with enough discs in view, the map belongs to another ball, and a new map begins.
+    `loss.reset_after` s with enough discs in view, the map may belong to another ball, and a new map begins. The saved
+    map stays as the older one, since other discs may come into view.
     """
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
@@ -191,26 +192,43 @@ def recognise(
     if too_few or stamp - since < tracker.settings.loss.reset_after:
         return state._replace(phase=Recognising(since)), ()
     filtered, view = _new_map(state, stamp, tracker)
-    state, events = found(state._replace(filter=filtered), Learning(views=(view,)), stamp)
+    state = state._replace(filter=filtered, older=state.filter, older_searches=1)
+    state, events = found(state, Learning(views=(view,)), stamp)
     return state, (NewMap(saved=True), *events)
 
 
 def recognise_older_map(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
-) -> tuple[TrackState[So3State], Events] | None:
-    """Return the state and events if the discs in view have their places on the map before the last new one.
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state, and an event if the discs in view have their places on the map before the last new one.
 
-    A ball that was lost with too few discs in view for recognition gets a new map, and shows the others later. The
-    older map gives back the attitude from before the loss. Its attitude is no motion.
+    A ball that was lost, or that began, with too few discs in view for recognition gets a new map, and shows the others
+    later. The older map gives back the attitude from before the loss, or that of an earlier session. It is no motion.
     """
     # confirmed now, since the attitude reported before is that of the other map, and so shows no rate
-    recognised = recognised_attitude(state._replace(filter=state.older, confirmed_at=stamp), stamp, tracker)
+    saved = state.older_searches > 0
+    state, recognised = _on_older_map(state._replace(confirmed_at=stamp), stamp, tracker)
     if recognised is None:
-        return None
+        return state, ()
     filtered, pairs = recognised
-    state = state._replace(older=None, lookalikes=forget(state.lookalikes))
+    state = state._replace(lookalikes=forget(state.lookalikes))
     state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
-    return state, (Recognised(pairs, older=True),)
+    return state, (Recognised(pairs, saved=saved, older=True),)
+
+
+def _on_older_map(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], tuple[So3State, int] | None]:
+    """Return the state, and the result of `recognised_attitude` for the older map, which then is older no more.
+
+    A saved map may be of another ball. It is searched for long, so all its searches share the risk of one.
+    """
+    searches = state.older_searches
+    risk = RISK / (searches * (searches + 1)) if searches else RISK  # these sum to RISK
+    recognised = recognised_attitude(state._replace(filter=state.older), stamp, tracker, risk)
+    if recognised is None:
+        return state._replace(older_searches=searches + (searches > 0)), None
+    return state._replace(older=None, older_searches=0, absolute=state.absolute or searches > 0), recognised
 
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, BufferedFrame]:
