@@ -71,11 +71,11 @@ class Hypotheses:
         """
 
 # spheremouse/ball/texture/align.cpp and learn.cpp. A picture has the contrast of each cell, (6, n, n), and its weight.
-# The samples are contrast (h, w), direction (r, c, 3) obj, log odds to turn with the ball (r, c), contrast of
-# light that stands still (r, c), and their distance in px.
+# The samples are contrast (k,), direction (3, k) obj, log odds to turn with the ball (k,), and contrast of light that
+# stands still (k,).
 
 _Narrow = NDArray[np.float32]
-_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow, int]
+_Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow]
 _Picture = tuple[_Narrow, _Narrow]
 
 def align_texture(
@@ -97,21 +97,23 @@ STATIC_ODDS: float
 FACING: float  # cosine between ray and normal from which a place is learnt
 
 def learn_texture(
-    samples: _Samples, picture: _Picture, known: _Narrow, chart: tuple[_Float, float, int, float], R: _Float,
-    most: float, turn: int, forget: bool,
+    seen: tuple[_Narrow, NDArray[np.int32], _Narrow, _Narrow, int], picture: tuple[_Narrow, _Narrow, _Narrow],
+    tiles: _Index, chart: tuple[_Float, float, int, float], R: _Float, most: float, forget: bool,
 ) -> None:  # fmt: skip
-    """Learn a frame at R, (3, 3), in place: picture, and the mean weight of each tile, (6, n / 8, n / 8).
+    """Learn some `tiles`, (j,), of a frame at R, (3, 3), in place.
 
-    `chart` has the members of `Chart`. A cell is the mean of up to `most` views. With a `turn` >= 0 a part of the tiles
-    is learnt. With `forget` the cells are forgotten that show what stands still.
+    `picture` also has the mean weight of each tile, (6, n / 8, n / 8).
+    `seen` has the contrast on the chart, (h, w), the number of the sample at every few pixels or -1, (r, c), log odds
+    and contrast of light of the samples, and their distance in px. `chart` has the members of `Chart`. A cell is the
+    mean of up to `most` views. With `forget` the cells are forgotten that show what stands still.
     """
 
 def leave_out_doubtful(
     samples: _Samples, first: _Narrow, own: _Narrow, change: float, detail: float
 ) -> tuple[_Narrow, _Narrow]:
-    """Return the log odds of the samples, (r, c), once -inf for a detail and once for any that may stand still.
+    """Return the log odds of the samples, (k,), once -inf for a detail and once for any that may stand still.
 
-    Such a sample differs by less than `change` from the `first` frame, and has log odds of its `own`, (r, c), below 3.
+    Such a sample differs by less than `change` from the `first` frame, and has log odds of its `own`, (k,), below 3.
     A detail has a contrast above `detail`.
     """
 
@@ -119,25 +121,45 @@ def weigh_static(
     samples: _Samples, picture: _Picture, R: _Float, after: tuple[_Narrow, _Narrow, _Narrow], noise: float,
     share: float, settle: float, apart: float,
 ) -> None:  # fmt: skip
-    """Update three arrays of the samples, (r, c), in place.
+    """Update three arrays of the samples, (k,), in place.
 
     `after` has the mean contrast, which takes a `share` of the frame, the log odds that the sample turns with the ball,
     and the contrast that stands still, which takes the share `settle` of what remains. A sample tells only if the
     two explanations are `apart` standard deviations.
     """
 
+# spheremouse/ball/texture/anchors.cpp
+def anchor_points(
+    anchors: _Float, R: _Float, information: _Float, gradient: _Float, errors: tuple[float, float, float],
+    facing: tuple[_Float, float], view: tuple[object, ...],
+) -> tuple[_Float, _Float, _Index]:  # fmt: skip
+    """Return places, (n, 2) px, covariances, (n, 2, 2) px², and numbers, (n,), of the anchors that a frame shows.
+
+    They are those of `anchors`, (k, 3) ball, at the attitude R, (3, 3), with the information, (k, 3, 3), and the
+    gradient, (k, 3), of the pixels around each. `errors`, rad, are the largest standard deviation of a place, that of
+    a place relative to the whole, and that of errors that the pixels share. `facing` has the camera's direction, (3,),
+    and the least cosine with it.
+    """
+
 # spheremouse/ball/texture/chart.cpp
 PARTS: int  # of a pixel
 
-def resample_chart(image: _Byte, at: NDArray[np.int32], part: NDArray[np.uint16]) -> _Byte:
-    """Return grey values of an image between four pixels each.
+def resample_chart(image: _Byte, at: NDArray[np.int32], part: NDArray[np.uint16], inside: _Byte) -> _Byte:
+    """Return grey values of an image between four pixels each, and 0 where `inside` is not 255.
 
     `at` is the index of the first of the four. `part` counts parts of the way, `PARTS` times those to the next row and
     those to the next column.
     """
 
-def contrast_on_chart(light: _Byte, sum: _Narrow, share: _Narrow, far: _Narrow) -> _Narrow:
-    """Return (`light` - `sum` * `share`) / `far`. `far` is that of a chart with fewer pixels."""
+def contrast_on_chart(light: _Byte, inside: _Byte, far: _Narrow, reach: int) -> _Narrow:
+    """Return the contrast in each row, from its first pixel `inside` to its last one, else 0.
+
+    That is `light` less the mean of means over squares that reach 1 or 2 px from the middle, over `far`, which is that
+    of a chart with fewer pixels.
+    """
+
+def contrast_of_samples(light: _Byte, at: NDArray[np.int32], far: _Narrow, reach: int) -> _Narrow:
+    """Return the contrast of the pixels `at`, (k,) row by row, as `contrast_on_chart` has it."""
 
 # spheremouse/ball/constellation/evidence.cpp
 

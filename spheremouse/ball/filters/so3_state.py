@@ -360,6 +360,8 @@ def _counted_once(state: So3State, k: int) -> So3State:
 
 def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radius: float) -> So3State:
     """Take up the points `index`, (k,), on a ball of `radius` m as discs, with covariance and correlations."""
+    if len(index) == 0:
+        return state
     state = with_candidates(state, points, index, np.full(len(index), -1), radius)
     return promote(state, np.flatnonzero(state.candidates < 0))
 

@@ -11,12 +11,13 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int MOST = 6000;        // independent pixels: the contrasts of neighbours are means of the same grey values
-constexpr int MOST_ROUNDS = 6;    // with some samples, and with all
-constexpr float YOUNG = 3.0f;     // views: the place of a cell with few follows the frames that taught it
-constexpr double NEAR = 2e-4;     // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
-constexpr int FEW = 4000;         // samples of which some show the way
-constexpr float CAUCHY = 2.385f;  // standard deviations: 95 % efficiency for normal errors
+constexpr int MOST = 6000;      // independent pixels: the contrasts of neighbours are means of the same grey values
+constexpr int MOST_ROUNDS = 6;  // with some samples, and with all
+constexpr float YOUNG = 3.0f;   // views: the place of a cell with few follows the frames that taught it
+constexpr double NEAR = 2e-4;   // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
+constexpr size_t FEW = 2000;    // samples of which some show the way
+constexpr size_t MEDIAN_OF = 2000;  // residuals: their scale has a standard deviation of 2 %
+constexpr float CAUCHY = 2.385f;    // standard deviations: 95 % efficiency for normal errors
 constexpr int MOST_ANCHORS = 1 << 12;
 
 /// The residuals' model.
@@ -26,50 +27,72 @@ struct Errors {
     float angle;  // rad: a pixel counts if it shows a rotation by so much
 };
 
-/// A pixel against the picture.
-struct Residual {
-    float z, value, contrast, variance;
-    float by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
-    int tile;                // of the picture
-};
+/// The pixels that count, against the picture, in columns.
+class Residuals {
+    size_t size_ = 0;  // the columns may be longer
 
-/// Residuals of the pixels that count, and their squares in variances.
-struct Residuals {
-    std::vector<Residual> all;
-    std::vector<float> squares;
+  public:
+    std::vector<float> z, value, contrast, variance;
+    std::vector<float> square;            // z² / variance
+    std::vector<float> by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
+    std::vector<float> share, weight;     // of Cauchy's: 0 to 1; by variance
+    std::vector<int> tile;                // of the picture
 
+    size_t size() const { return size_; }
+    void clear() { size_ = 0; }
+    void make_room(size_t n);
     void add(const Look& seen, const float* contrast, const Errors& errors);
+    float scale() const;
+    void weigh(float scale);
 };
 
-/// Add the residuals of pixels that the picture knows, where it changes.
-WIDE void Residuals::add(const Look& seen, const float* contrast, const Errors& errors) {
-    const float noise = errors.noise * errors.noise, place = errors.place * errors.place,
-                least = noise / (errors.angle * errors.angle);
-    float variance[Look::MOST], z[Look::MOST];
-    int counts[Look::MOST];
-    for (size_t i = 0; i < seen.size; i++) {
-        const float square = seen.by_x[i] * seen.by_x[i] + seen.by_y[i] * seen.by_y[i] + seen.by_z[i] * seen.by_z[i];
-        variance[i] = noise + place * (1.0f + YOUNG / seen.weight[i]) * square;
-        z[i] = contrast[i] - seen.value[i];
-        counts[i] = (seen.weight[i] >= LEAST_WEIGHT) & (square > least);
-    }
-    size_t n = all.size();
-    all.resize(n + seen.size);  // a branch would be taken by chance
-    squares.resize(n + seen.size);
-    for (size_t i = 0; i < seen.size; i++) {
-        all[n] = {z[i],         seen.value[i], contrast[i],  variance[i],
-                  seen.by_x[i], seen.by_y[i],  seen.by_z[i], seen.tile[i]};
-        squares[n] = z[i] * z[i] / variance[i];
-        n += size_t(counts[i]);
-    }
-    all.resize(n);
-    squares.resize(n);
+void Residuals::make_room(size_t n) {
+    if (tile.size() >= n) return;
+    tile.resize(n);
+    for (auto* column : {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &share, &weight})
+        column->resize(n);
 }
 
-float median(std::vector<float>& values) {
-    const auto middle = values.begin() + nb::ssize_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
+/// Add the residuals of pixels that the picture knows, where it changes. There is room for all of them.
+WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors& errors) {
+    const float noise = errors.noise * errors.noise, place = errors.place * errors.place,
+                least = noise / (errors.angle * errors.angle);
+    float variances[Look::MOST], residuals[Look::MOST], squares[Look::MOST];
+    int counts[Look::MOST];
+    for (size_t i = 0; i < seen.size; i++) {
+        const float slope = seen.by_x[i] * seen.by_x[i] + seen.by_y[i] * seen.by_y[i] + seen.by_z[i] * seen.by_z[i];
+        variances[i] = noise + place * (1.0f + YOUNG / seen.weight[i]) * slope;
+        residuals[i] = contrasts[i] - seen.value[i];
+        squares[i] = residuals[i] * residuals[i] / variances[i];
+        counts[i] = (seen.weight[i] >= LEAST_WEIGHT) & (slope > least);
+    }
+    size_t n = size_;
+    for (size_t i = 0; i < seen.size; i++) {  // a branch would be taken by chance
+        z[n] = residuals[i], value[n] = seen.value[i], contrast[n] = contrasts[i];
+        variance[n] = variances[i], square[n] = squares[i];
+        by_x[n] = seen.by_x[i], by_y[n] = seen.by_y[i], by_z[n] = seen.by_z[i];
+        tile[n] = seen.tile[i];
+        n += size_t(counts[i]);
+    }
+    size_ = n;
+}
+
+/// Return how many times as large as their model states the residuals are, by the median of some.
+float Residuals::scale() const {
+    std::vector<float> some;
+    for (size_t i = 0; i < size_; i += 1 + size_ / MEDIAN_OF) some.push_back(square[i]);
+    const auto middle = some.begin() + nb::ssize_t(some.size() / 2);
+    std::nth_element(some.begin(), middle, some.end());
+    return std::max(1.4826f * std::sqrt(*middle), 0.5f);
+}
+
+/// Set Cauchy's weights of residuals that are `scale` times as large as their model states.
+WIDE void Residuals::weigh(float scale) {
+    const float far = 1.0f / (CAUCHY * CAUCHY * scale * scale), by_variance = 1.0f / (scale * scale);
+    for (size_t i = 0; i < size_; i++) {
+        share[i] = 1.0f / (1.0f + square[i] * far);
+        weight[i] = share[i] * by_variance / variance[i];
+    }
 }
 
 /// Sums over pixels, each by its weight: those of the normal equations, their number, and the moments of contrast and
@@ -77,23 +100,6 @@ float median(std::vector<float>& values) {
 struct Sums {
     double sum[16] = {};
 
-    void add(const Residual& one, float weight, float share) {
-        const float x = weight * one.by_x, y = weight * one.by_y, z = weight * one.by_z, c = weight * one.contrast;
-        const float terms[16] = {x * one.by_x,
-                                 x * one.by_y,
-                                 x * one.by_z,
-                                 y * one.by_y,
-                                 y * one.by_z,
-                                 z * one.by_z,
-                                 x * one.z,
-                                 y * one.z,
-                                 z * one.z,
-                                 share,
-                                 c * one.contrast,
-                                 c * one.value,
-                                 weight * one.value * one.value};
-        for (int k = 0; k < 16; k++) sum[k] += double(terms[k]);
-    }
     Matrix<3> H() const {
         Matrix<3> r;
         r << sum[0], sum[1], sum[2], sum[1], sum[3], sum[4], sum[2], sum[4], sum[5];
@@ -104,6 +110,28 @@ struct Sums {
     float correlation() const { return float(sum[11] / std::sqrt(std::max(sum[10] * sum[12], 1e-300))); }
 };
 
+/// Add residuals with their weights to the sums of the anchors of their tiles.
+WIDE void add(const Residuals& r, const int64_t* anchor_of, Sums* by_anchor) {
+    for (size_t i = 0; i < r.size(); i++) {
+        const float w = r.weight[i], x = w * r.by_x[i], y = w * r.by_y[i], z = w * r.by_z[i], c = w * r.contrast[i];
+        const float terms[16] = {x * r.by_x[i],
+                                 x * r.by_y[i],
+                                 x * r.by_z[i],
+                                 y * r.by_y[i],
+                                 y * r.by_z[i],
+                                 z * r.by_z[i],
+                                 x * r.z[i],
+                                 y * r.z[i],
+                                 z * r.z[i],
+                                 r.share[i],
+                                 c * r.contrast[i],
+                                 c * r.value[i],
+                                 w * r.value[i] * r.value[i]};
+        double* sum = by_anchor[anchor_of[r.tile[i]]].sum;
+        for (int k = 0; k < 16; k++) sum[k] += double(terms[k]);
+    }
+}
+
 struct Aligned {
     Matrix<3> R;                             // R_obj_ball
     Vector<3> dx = Vector<3>::Zero();        // the last step, in axes of the ball
@@ -112,55 +140,42 @@ struct Aligned {
     bool converged = false;
 };
 
-/// Cauchy's weights of residuals that are `scale` times as large as their model states.
-struct Weights {
-    float scale;
-
-    /// Return the share of a residual that counts, between 0 and 1.
-    float share(const Residual& one) const {
-        return 1.0f / (1.0f + one.z * one.z / (one.variance * CAUCHY * CAUCHY * scale * scale));
-    }
-    /// Return the weight of a residual that counts by a share.
-    float weight(const Residual& one, float share) const { return share / (one.variance * scale * scale); }
-};
-
 /// Improve the attitude, and return the robust sums there by anchor.
 ///
 /// Some samples show the way. Those that count are chosen again at each attitude: a choice at the start would take more
 /// of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
 Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, const int64_t* anchor_of,
               const Matrix<3>& R, std::vector<Sums>& by_anchor) {
-    const Pixels all = pixels_on_ball(samples, STATIC_ODDS);
+    thread_local Pixels all, some;
+    thread_local Residuals found;
+    all.take(samples, STATIC_ODDS);
+    found.make_room(all.size() + 1);
+    std::vector<size_t> which;
     Aligned r{R};
-    Residuals found;
     Look seen;
-    for (size_t every : {std::max<size_t>(size_t(samples.size()) / FEW, 1), size_t(1)}) {
-        Pixels some;
-        for (size_t i = 0; every > 1 && i < all.size(); i += every) some.add(all, i);
+    for (size_t every : {std::max<size_t>(samples.size / FEW, 1), size_t(1)}) {
+        for (size_t i = 0; every > 1 && i < all.size(); i += every) which.push_back(i);
+        if (every > 1) some.take(all, which);
         const Pixels& pixels = every > 1 ? some : all;
         for (int round = 0; round < MOST_ROUNDS; round++) {
             const Matrix3f towards = r.R.transpose().cast<float>();
-            found.all.clear();
-            found.squares.clear();
+            found.clear();
             for (size_t i = 0; i < pixels.size(); i += Look::MOST) {
-                seen.at(picture, towards, pixels, i);
+                seen.at(picture, towards, &pixels.x[i], &pixels.y[i], &pixels.z[i], pixels.size() - i);
                 found.add(seen, pixels.contrast.data() + i, errors);
             }
-            r.used = int(found.all.size());
+            r.used = int(found.size());
             r.converged = false;
             if (r.used < 10) break;
-            const Weights weights{std::max(1.4826f * std::sqrt(median(found.squares)), 0.5f)};
-            Sums whole;
+            r.scale = found.scale();
+            found.weigh(r.scale);
             std::fill(by_anchor.begin(), by_anchor.end(), Sums());
-            for (const Residual& one : found.all) {
-                const float share = weights.share(one);
-                by_anchor[size_t(anchor_of[one.tile])].add(one, weights.weight(one, share), share);
-            }
+            add(found, anchor_of, by_anchor.data());
+            Sums whole;
             for (const Sums& one : by_anchor)
                 for (int k = 0; k < 16; k++) whole.sum[k] += one.sum[k];
             r.dx = (whole.H() + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g());
             if (!r.dx.allFinite()) break;
-            r.scale = weights.scale;
             r.correlation = whole.correlation();
             r.R = r.R * exp(r.dx * std::min(1.0, 0.1 / r.dx.norm()));
             r.converged = r.dx.cwiseAbs().maxCoeff() < NEAR;
@@ -202,14 +217,16 @@ nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, do
 
 /// Return the `most` samples of greatest contrast that may turn with the ball.
 Pixels strongest(const Samples& samples, int most) {
-    Pixels all = pixels_on_ball(samples, STATIC_ODDS), found;
+    Pixels all, found;
+    all.take(samples, STATIC_ODDS);
     std::vector<size_t> order(all.size());
     std::iota(order.begin(), order.end(), 0);
     const auto end = order.begin() + std::clamp<nb::ssize_t>(most, 0, nb::ssize_t(order.size()));
     if (end != order.end())
         std::nth_element(order.begin(), end, order.end(),
                          [&](size_t a, size_t b) { return std::abs(all.contrast[a]) > std::abs(all.contrast[b]); });
-    for (auto i = order.begin(); i != end; i++) found.add(all, *i);
+    order.erase(end, order.end());
+    found.take(all, order);
     return found;
 }
 

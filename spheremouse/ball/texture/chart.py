@@ -52,6 +52,11 @@ class Chart(NamedTuple):
         height = directions @ self.axes[2]
         return (self.distance * height - 1.0) / np.sqrt(1.0 + self.distance**2 - 2.0 * self.distance * height)
 
+    def height(self, facing: float) -> float:
+        """Return the height, radii, over the plane across the view, of places with a cosine `facing`."""
+        ray = np.sqrt(facing**2 + self.distance**2 - 1.0) - facing
+        return float((1.0 + self.distance**2 - ray**2) / (2.0 * self.distance))
+
 
 class Resampling(NamedTuple):
     """The way from an image to a chart."""
@@ -60,13 +65,14 @@ class Resampling(NamedTuple):
     width: int  # px, of the mean that stands for a pixel of the chart
     # Of each pixel of the chart: its place in the window, as `resample_chart` takes it
     at: tuple[NDArray[np.int32], NDArray[np.uint16]]
+    inside: Image  # (size, size) 255 on the ball, 0 elsewhere, of the chart
 
     def __call__(self, image: Image) -> Image:
-        """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size)."""
+        """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size); 0 beside the ball."""
         part = image[self.window]
         grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
         mean = np.asarray(cv2.blur(grey, (self.width, self.width)), np.uint8)
-        return kernels.resample_chart(mean, *self.at)
+        return kernels.resample_chart(mean, *self.at, self.inside)
 
 
 def chart_of(rig: Rig, pose: Pose, spacing: float, coarse: int) -> Chart:
@@ -98,7 +104,7 @@ def resampling(chart: Chart, rig: Rig, pose: Pose, width: int) -> Resampling:
     (column, row), (right, down) = (place // kernels.PARTS).T, (place % kernels.PARTS).T
     at, part = row * (last[0] + 1 - first[0]) + column, down * kernels.PARTS + right
     kept = np.ascontiguousarray(at.T, np.int32), np.ascontiguousarray(part.T, np.uint16)
-    return Resampling(window, width, kept)
+    return Resampling(window, width, kept, 255 * chart.inside.astype(np.uint8))
 
 
 def _seen_by_a_mean(directions: Array, rig: Rig, pose: Pose, width: int) -> Array:

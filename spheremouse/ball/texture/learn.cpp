@@ -6,8 +6,6 @@ namespace {
 
 constexpr float FACING = 0.3f;          // cosine between ray and normal from which a place is learnt
 constexpr float MOST_PER_FRAME = 3.0f;  // nats: one frame proves little
-constexpr float DOUBLE = 2.0f;          // views of a tile, after which it is learnt half as often
-constexpr int SELDOM = 8;               // calls in which a known tile is learnt once
 constexpr float MOST_ODDS = 12.0f;
 constexpr int HEIGHTS = 256;            // steps of the tables from the horizon to the middle
 constexpr float MOST_OF_OFFSET = 3.0f;  // standard deviations of a contrast, by which one frame can move the offset
@@ -17,8 +15,11 @@ constexpr float MOST_OF_OFFSET = 3.0f;  // standard deviations of a contrast, by
 /// How far from the middle a place is, and how it faces the camera, follow from its height over the plane through the
 /// ball's centre across the view. Tables have both from the horizon to the middle.
 struct Shown {
-    const float* contrast;  // (h, w)
+    const float* contrast;  // (height, width)
     int height, width;
+    const float* still;  // (rows, columns) contrast that stands still in the sample there; nan: it shows no part
+                         // of the ball that turns
+    int rows, columns;
     float middle;              // px
     Matrix3f axes;             // rows: right and down on the chart, and towards the camera; ball
     float horizon, by_height;  // height of the horizon; steps of the tables by height
@@ -47,17 +48,16 @@ struct TileSeen {
     int pixel[CELLS], sample[CELLS];  // the last one before, and the nearest
 
     /// Find the cells from the directions of one, and of its neighbours less that, in the axes of the chart.
-    [[gnu::always_inline]] void find(const Samples& samples, const Shown& shown, const Vector3f& corner,
-                                     const Vector3f& below, const Vector3f& beside);
+    [[gnu::always_inline]] void find(const Shown& shown, const Vector3f& corner, const Vector3f& below,
+                                     const Vector3f& beside);
 };
 
-inline void TileSeen::find(const Samples& samples, const Shown& shown, const Vector3f& corner, const Vector3f& below,
-                           const Vector3f& beside) {
+inline void TileSeen::find(const Shown& shown, const Vector3f& corner, const Vector3f& below, const Vector3f& beside) {
     const float a0 = corner[0], a1 = below[0], a2 = beside[0], b0 = corner[1], b1 = below[1], b2 = beside[1],
                 c0 = corner[2], c1 = below[2], c2 = beside[2];
     const float last_x = float(shown.width) - 1.001f, last_y = float(shown.height) - 1.001f, horizon = shown.horizon,
                 by_height = shown.by_height, middle = shown.middle, by_step = shown.by_step;
-    const int width = shown.width, rows = samples.rows, columns = samples.columns;
+    const int width = shown.width, rows = shown.rows, columns = shown.columns;
     const float *scales = shown.scale.data(), *facings = shown.facing.data();
     for (int k = 0; k < CELLS; k++) {
         const float i = float(k / TILE), j = float(k % TILE);
@@ -82,22 +82,23 @@ inline void TileSeen::find(const Samples& samples, const Shown& shown, const Vec
 /// Learn the cells of a tile from a frame, or forget those that it took from what stands still.
 ///
 /// Return the mean weight in the tile.
-WIDE float learn_tile(const Picture& picture, const Samples& samples, const Shown& shown, float most, bool forget,
-                      int face, int tile_row, int tile_column) {
+WIDE float learn_tile(const Picture& picture, const Shown& shown, float most, bool forget, int face, int tile_row,
+                      int tile_column) {
     TileSeen seen;
     const float row = float(tile_row * TILE), column = float(tile_column * TILE);
     const Vector3f corner = shown.axes * direction_of(face, row, column, picture.n);
     const Vector3f below = shown.axes * direction_of(face, row + 1.0f, column, picture.n) - corner;
     const Vector3f beside = shown.axes * direction_of(face, row, column + 1.0f, picture.n) - corner;
-    seen.find(samples, shown, corner, below, beside);
+    seen.find(shown, corner, below, beside);
     float now[TileSeen::CELLS], learns[TileSeen::CELLS];
     int stands[TileSeen::CELLS];
     for (int k = 0; k < TileSeen::CELLS; k++) {
         const float *a = shown.contrast + seen.pixel[k], *b = a + shown.width;
         const float upper = a[0] + seen.right[k] * (a[1] - a[0]), lower = b[0] + seen.right[k] * (b[1] - b[0]);
-        now[k] = upper + seen.down[k] * (lower - upper) - samples.offset[seen.sample[k]];
-        stands[k] = (seen.facing[k] > 0.0f) & (samples.odds[seen.sample[k]] <= STATIC_ODDS);
-        learns[k] = (std::abs(now[k]) < INFINITY) & !stands[k] & !forget ? seen.facing[k] * seen.facing[k] : 0.0f;
+        const float still = shown.still[seen.sample[k]];
+        now[k] = upper + seen.down[k] * (lower - upper) - still;
+        stands[k] = (seen.facing[k] > 0.0f) & (still != still);
+        learns[k] = (std::abs(now[k]) < INFINITY) & !forget ? seen.facing[k] * seen.facing[k] : 0.0f;
     }
     float sum = 0.0f;
     for (int i = 0, k = 0; i < TILE; i++) {
@@ -114,35 +115,72 @@ WIDE float learn_tile(const Picture& picture, const Samples& samples, const Show
     return sum / float(TileSeen::CELLS);
 }
 
-void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb::tuple chart, nb::handle R_,
-                   double most, int turn, bool forget) {
-    const Samples samples = read_samples(samples_);
-    const auto contrast = array<const float, -1, -1>(samples_[0], "contrast");
-    const Picture picture = read_picture(picture_);
-    const auto known = array<float, 6, -1, -1>(known_, "known");
+void learn_texture(nb::tuple seen, nb::tuple picture_, nb::handle which_, nb::tuple chart, nb::handle R_, double most,
+                   bool forget) {
+    members(seen, 5, "seen");
+    const auto contrast = array<const float, -1, -1>(seen[0], "contrast");
+    const auto number_of = array<const int32_t, -1, -1>(seen[1], "number");
+    const auto odds = array<const float, -1>(seen[2], "odds"), offset = array<const float, -1>(seen[3], "offset");
+    const int step = number<int>(seen[4], "step");
+    if (offset.size() != odds.size()) throw nb::type_error("offset: must have the length of odds");
+    if (contrast.size() == 0 || number_of.size() == 0) throw nb::type_error("contrast, number: must have pixels");
+    if (step < 1) throw nb::index_error("step: must be 1 or more");
+    std::vector<float> still(number_of.size(), NAN);
+    for (size_t i = 0; i < still.size(); i++) {
+        const int sample = number_of.data()[i];
+        if (sample >= int(odds.size())) throw nb::index_error("number: no such sample");
+        if (sample >= 0 && odds.data()[sample] > STATIC_ODDS) still[i] = offset.data()[sample];
+    }
+    members(picture_, 3, "picture");
+    const Picture picture = read_picture(nb::make_tuple(picture_[0], picture_[1]));
+    const auto known = array<float, 6, -1, -1>(picture_[2], "known");
     const int tiles = picture.tiles();
     if (int(known.shape(1)) != tiles || int(known.shape(2)) != tiles)
         throw nb::type_error("known: must have one element for each tile");
+    const auto which = array<const int64_t, -1>(which_, "tiles");
+    for (size_t i = 0; i < which.size(); i++)
+        if (which.data()[i] < 0 || which.data()[i] >= 6 * tiles * tiles) throw nb::index_error("tiles: no such tile");
     members(chart, 4, "chart");
     Shown shown{};
     shown.contrast = contrast.data();
-    shown.height = int(contrast.shape(0));
-    shown.width = int(contrast.shape(1));
+    shown.height = int(contrast.shape(0)), shown.width = int(contrast.shape(1));
+    shown.still = still.data();
+    shown.rows = int(number_of.shape(0)), shown.columns = int(number_of.shape(1));
     shown.middle = 0.5f * float(number<int>(chart[2], "size") - 1);
     shown.axes = (Matrix<3>(matrix<3, 3>(chart[0], "axes")) * matrix<3, 3>(R_, "R")).cast<float>();
-    shown.by_step = 1.0f / float(samples.step);
+    shown.by_step = 1.0f / float(step);
     shown.set_tables(number<float>(chart[1], "spacing"), number<float>(chart[3], "distance"));
-    const float reach = float(M_SQRT2) * TILE * HALF / float(picture.n);  // rad, from the middle of a tile to a corner
     nb::gil_scoped_release release;
-    for (int t = 0; t < 6 * tiles * tiles; t++) {
-        int every = 1;
-        for (float views = DOUBLE; known.data()[t] >= views && every < SELDOM; views += DOUBLE) every *= 2;
-        if (turn >= 0 && t % every != turn % every) continue;
-        const int face = t / (tiles * tiles), row = t / tiles % tiles, column = t % tiles;
-        const Vector3f middle =
-            direction_of(face, (row + 0.5f) * TILE - 0.5f, (column + 0.5f) * TILE - 0.5f, picture.n);
-        if (!(shown.axes.row(2).dot(middle.normalized()) > shown.horizon - reach)) continue;
-        known.data()[t] = learn_tile(picture, samples, shown, float(most), forget, face, row, column);
+    for (size_t i = 0; i < which.size(); i++) {
+        const int t = int(which.data()[i]);
+        known.data()[t] =
+            learn_tile(picture, shown, float(most), forget, t / (tiles * tiles), t / tiles % tiles, t % tiles);
+    }
+}
+
+/// How samples are weighed.
+struct Weighing {
+    float variance;  // of a contrast
+    float share;     // of a frame in the mean contrast
+    float settle;    // of a frame in the contrast of light
+    float least;     // squared difference of the two explanations, from which a sample tells
+    float limit;     // of what a frame shows of the contrast of light
+};
+
+/// Weigh samples that are seen before the picture; `mean`, `odds` and `light` are updated.
+WIDE void weigh(const Look& seen, const float* contrast, const Weighing& by, float* __restrict mean,
+                float* __restrict odds, float* __restrict light) {
+    for (size_t i = 0; i < seen.size; i++) {
+        const float now = contrast[i] - light[i], apart = mean[i] - seen.value[i], stays = now - mean[i],
+                    turns = now - seen.value[i];
+        const bool known = seen.weight[i] > LEAST_WEIGHT;
+        const float nats = 0.5f * (stays * stays - turns * turns) / by.variance;
+        const float limited = std::min(std::max(nats, -MOST_PER_FRAME), MOST_PER_FRAME);
+        const float after = std::min(std::max(odds[i] + limited, -MOST_ODDS), MOST_ODDS);
+        const float rest = light[i] + by.settle * std::min(std::max(turns, -by.limit), by.limit);
+        odds[i] = known & (apart * apart > by.least) ? after : odds[i];
+        light[i] = known & (std::abs(turns) < INFINITY) ? rest : light[i];
+        mean[i] += by.share * stays;
     }
 }
 
@@ -151,35 +189,33 @@ void learn_texture(nb::tuple samples_, nb::tuple picture_, nb::handle known_, nb
 /// Only a sample for which the two explanations differ says something. What the turning picture leaves unexplained in
 /// the mean is the contrast of light, `offset`, of which a frame has the share `settle`.
 void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tuple after, double noise, double share,
-                  double settle, double apart_) {
+                  double settle, double apart) {
     const Samples samples = read_samples(samples_);
     const Picture picture = read_picture(picture_);
-    const Eigen::Matrix3f R = Matrix<3>(matrix<3, 3>(R_, "R")).cast<float>();
+    const Eigen::Matrix3f towards = Matrix<3>(matrix<3, 3>(R_, "R").transpose()).cast<float>();
     members(after, 3, "after");
-    const auto mean = array<float, -1, -1>(after[0], "mean"), odds = array<float, -1, -1>(after[1], "odds"),
-               offset = array<float, -1, -1>(after[2], "offset");
+    const auto mean = array<float, -1>(after[0], "mean"), odds = array<float, -1>(after[1], "odds"),
+               offset = array<float, -1>(after[2], "offset");
     for (const auto& each : {mean, odds, offset})
-        if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
-            throw nb::type_error("mean, odds, offset: must have the shape of direction");
-    const float variance = float(noise * noise), least = float(apart_ * apart_) * variance,
-                limit = MOST_OF_OFFSET * float(noise);
-    const Pixels pixels = pixels_on_ball(samples, -INFINITY);
+        if (each.size() != samples.size) throw nb::type_error("mean, odds, offset: must have the length of contrast");
+    const float variance = float(noise * noise);
+    const Weighing by{variance, float(share), float(settle), float(apart * apart) * variance,
+                      MOST_OF_OFFSET * float(noise)};
+    nb::gil_scoped_release release;
     Look seen;
-    for (size_t first = 0; first < pixels.size(); first += Look::MOST) {
-        seen.at(picture, R.transpose(), pixels, first);
-        for (size_t k = 0; k < seen.size; k++) {
-            const int i = pixels.sample[first + k];
-            float &before = mean.data()[i], &light = offset.data()[i], &o = odds.data()[i];
-            const float now = pixels.contrast[first + k], apart = before - seen.value[k], stays = now - before,
-                        turns = now - seen.value[k];
-            const bool known = seen.weight[k] > LEAST_WEIGHT;
-            const float nats = 0.5f * (stays * stays - turns * turns) / variance;
-            const float after =
-                std::clamp(o + std::clamp(nats, -MOST_PER_FRAME, MOST_PER_FRAME), -MOST_ODDS, MOST_ODDS);
-            if (known && apart * apart > least) o = after;
-            if (known && std::isfinite(turns)) light += float(settle) * std::clamp(turns, -limit, limit);
-            before += float(share) * stays;
-        }
+    for (size_t i = 0; i < samples.size; i += Look::MOST) {
+        seen.at(picture, towards, samples.x + i, samples.y + i, samples.z + i, samples.size - i);
+        weigh(seen, samples.contrast + i, by, mean.data() + i, odds.data() + i, offset.data() + i);
+    }
+}
+
+WIDE void mark_doubtful(const Samples& samples, const float* first, const float* own, float change, float detail,
+                        float* __restrict counts, float* __restrict turning) {
+    for (size_t i = 0; i < samples.size; i++) {
+        const float contrast = samples.contrast[i], odds = samples.odds[i];
+        const bool same = (std::abs(contrast - first[i]) < change) & (own[i] < -STATIC_ODDS);
+        turning[i] = same ? -INFINITY : odds;
+        counts[i] = same & (std::abs(contrast) > detail) ? -INFINITY : odds;
     }
 }
 
@@ -189,20 +225,13 @@ void weigh_static(nb::tuple samples_, nb::tuple picture_, nb::handle R_, nb::tup
 /// `own`, do not prove that it turns.
 nb::tuple leave_out_doubtful(nb::tuple samples_, nb::handle first_, nb::handle own_, double change, double detail) {
     const Samples samples = read_samples(samples_);
-    const auto first = array<const float, -1, -1>(first_, "first"), own = array<const float, -1, -1>(own_, "own");
+    const auto first = array<const float, -1>(first_, "first"), own = array<const float, -1>(own_, "own");
     for (const auto& each : {first, own})
-        if (int(each.shape(0)) != samples.rows || int(each.shape(1)) != samples.columns)
-            throw nb::type_error("first, own: must have the shape of direction");
-    const size_t rows = size_t(samples.rows), columns = size_t(samples.columns);
-    auto counts = zeros<float>({rows, columns}), turning = zeros<float>({rows, columns});
-    const float differs = float(change), shows = float(detail);
-    for (size_t row = 0, i = 0; row < rows; row++) {
-        const float* contrast = samples.contrast + row * size_t(samples.step) * size_t(samples.width);
-        for (size_t column = 0; column < columns; column++, i++, contrast += samples.step) {
-            const bool same = (std::abs(*contrast - first.data()[i]) < differs) & (own.data()[i] < -STATIC_ODDS);
-            turning.data()[i] = same ? -INFINITY : samples.odds[i];
-            counts.data()[i] = same & (std::abs(*contrast) > shows) ? -INFINITY : samples.odds[i];
-        }
+        if (each.size() != samples.size) throw nb::type_error("first, own: must have the length of contrast");
+    auto counts = zeros<float>({samples.size}), turning = zeros<float>({samples.size});
+    {
+        nb::gil_scoped_release release;
+        mark_doubtful(samples, first.data(), own.data(), float(change), float(detail), counts.data(), turning.data());
     }
     return nb::make_tuple(counts, turning);
 }
@@ -214,8 +243,8 @@ void bind_learn(nb::module_& m) {
     m.attr("LEAST_WEIGHT") = LEAST_WEIGHT;
     m.attr("STATIC_ODDS") = STATIC_ODDS;
     m.attr("FACING") = FACING;
-    m.def("learn_texture", &learn_texture, arg("samples"), arg("picture"), arg("known"), arg("chart"), arg("R"),
-          arg("most"), arg("turn"), arg("forget"));
+    m.def("learn_texture", &learn_texture, arg("seen"), arg("picture"), arg("tiles"), arg("chart"), arg("R"),
+          arg("most"), arg("forget"));
     m.def("leave_out_doubtful", &leave_out_doubtful, arg("samples"), arg("first"), arg("own"), arg("change"),
           arg("detail"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),

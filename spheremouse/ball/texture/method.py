@@ -5,10 +5,11 @@ part of it. So the ball is not tracked before something turns as the ball does. 
 what it took from pixels that stand still.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import Found, NewMap, Recognised, Turned
@@ -16,6 +17,7 @@ from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.phases.method import at_new_pose
+from spheremouse.ball.rig import view_of
 from spheremouse.ball.state import (
     Events,
     Learning,
@@ -33,30 +35,47 @@ from spheremouse.ball.texture.picture import (
     SHOWS,
     STATIC_ODDS,
     Alignment,
-    Floats,
+    ChartLight,
+    Picture,
     TextureView,
+    Tiles,
     align,
     contrast_noise,
+    contrast_of_samples,
+    contrast_on_chart,
     empty_picture,
     first_seen,
+    forget,
     grain_of,
     learn,
     seen_again,
+    tiles_in_view,
+    tiles_to_learn,
     weigh,
     without_past,
 )
 from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
-from spheremouse.ball.texture.search import FRAMES_PER_SEARCH, Level, TextureDetector, TextureState, fits, near, search
-from spheremouse.geometry.rotation import Array, exp, rotation_between, tangent_basis
+from spheremouse.ball.texture.search import (
+    FRAMES_PER_SEARCH,
+    Lesson,
+    Level,
+    TextureDetector,
+    TextureState,
+    fits,
+    near,
+    search,
+)
+from spheremouse.geometry.rotation import Array, rotation_between
+from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status
 
-_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
 _TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
 _SEEN = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
+_MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
 _EVERY = 4  # frames, of which one is learnt and another weighed: neighbours in time show the same
 _LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
 _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
@@ -77,11 +96,11 @@ def detect_texture(
         before = recalled(detector, frame, before)
     if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
-        found, shown = _detections(detector.fine, now.alignment, tracker)
-        return found, now._replace(shown=shown)
-    contrast, light = detector.contrast(frame.image)
+        found, anchors = _detections(detector.fine, now.alignment, tracker)
+        return found, now._replace(shown=anchors)
+    shown, light = detector.light(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
-    now = _with_contrast(detector, before, contrast, noise)._replace(frame_index=before.frame_index + 1)
+    now = _with_contrast(detector, before, shown, noise)._replace(frame_index=before.frame_index + 1)
     lost = state.status is Status.LOST or recognises
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
@@ -91,17 +110,17 @@ def detect_texture(
     if searched:
         alignment = search(detector, now, None if recognises else expected, lost)
     if alignment is not None:
-        now = _learnt(detector, now, alignment.attitude)
+        now = _learnt(detector, now, shown, alignment.attitude)
         if not searched:
             usual = now.usual + _RECENT * (alignment.correlation - now.usual)
-            now = now._replace(usual=usual, details=now.details + _RECENT * (_details(detector, now) - now.details))
-    elif _details(detector, now) < _PLAIN * now.details:
+            now = now._replace(usual=usual, details=now.details + _RECENT * (_details(now) - now.details))
+    elif _details(now) < _PLAIN * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
-    found, shown = _detections(detector.fine, alignment, tracker)
+    found, anchors = _detections(detector.fine, alignment, tracker)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _PROVEN_PX:
         proven = _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
-    return found, now._replace(alignment=alignment, searched=searched, shown=shown, proven=proven)
+    return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven)
 
 
 def _begins(state: TrackState[So3State], detector: TextureDetector, before: TextureState) -> bool:
@@ -112,24 +131,24 @@ def _begins(state: TrackState[So3State], detector: TextureDetector, before: Text
 
 
 def _with_contrast(
-    detector: TextureDetector, before: TextureState, contrast: tuple[Floats, Floats], noise: float
+    detector: TextureDetector, before: TextureState, shown: tuple[ChartLight, ChartLight], noise: float
 ) -> TextureState:
     """Return the state with the samples of a frame. At another pose of the camera, none has a past."""
     levels = []
-    for view, level, shown in zip(detector.views, (before.fine, before.coarse), contrast, strict=True):
+    for view, level, light in zip(detector.views, (before.fine, before.coarse), shown, strict=True):
+        contrast = contrast_of_samples(view, light)
         if before.view is detector.fine:
-            seen = seen_again(view, level.seen, shown, noise)
+            levels.append(level._replace(seen=seen_again(view, level.seen, contrast, noise)))
         else:
-            seen = without_past(first_seen(view, shown))
-        levels.append(Level(seen, resized(level.picture, view.cells)))
+            seen = without_past(first_seen(view, contrast))
+            levels.append(Level(seen, resized(level.picture, view.cells)))
     return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1])
 
 
-def _details(detector: TextureDetector, now: TextureState) -> int:
+def _details(now: TextureState) -> int:
     """Return the number of coarse samples that show a detail, and may turn."""
-    seen, step = now.coarse.seen, detector.coarse.step
-    shows = np.abs(seen.contrast[::step, ::step]) > SHOWS * now.noise
-    return int(np.count_nonzero(shows & (seen.counts > STATIC_ODDS)))
+    seen = now.coarse.seen
+    return int(np.count_nonzero((np.abs(seen.contrast) > SHOWS * now.noise) & (seen.counts > STATIC_ODDS)))
 
 
 def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: float) -> bool:
@@ -139,8 +158,8 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     """
     seen = level.seen._replace(mean=np.nan_to_num(level.seen.first), odds=np.zeros_like(level.seen.odds))
     nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
-    counts = np.isfinite(view.nothing) & (seen.counts > STATIC_ODDS)
-    part = np.argmax(view.direction[counts] @ view.anchors.T.astype(np.float32), axis=1)
+    counts = seen.counts > STATIC_ODDS
+    part = np.argmax(view.anchors.astype(np.float32) @ view.direction[:, counts], axis=0)
     number = np.bincount(part)
     total = np.bincount(part, nats[counts]) / DETAIL
     return bool(np.count_nonzero(total > -STATIC_ODDS) > _TURNING * np.count_nonzero(number >= _SEEN))
@@ -153,13 +172,15 @@ def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | N
 
 def _begin(detector: TextureDetector, frame: Frame, attitude: Array) -> TextureState:
     """Return the state after the first frame: its picture, aligned with itself."""
-    contrasts, light = detector.contrast(frame.image)
+    shown, light = detector.light(frame.image)
     grain = grain_of(detector.resampling, frame.image)
     noise = contrast_noise(grain, light)
     levels = []
-    for view, contrast in zip(detector.views, contrasts, strict=True):
-        seen = first_seen(view, contrast)
-        levels.append(Level(seen, learn(view, seen, empty_picture(view), attitude, _VIEWS)))
+    for view, one in zip(detector.views, shown, strict=True):
+        seen = first_seen(view, contrast_of_samples(view, one))
+        tiles = tiles_in_view(view, attitude)
+        picture = learn(view, seen, contrast_on_chart(view, one), empty_picture(view), attitude, tiles)
+        levels.append(Level(seen, picture))
     alignment = align(detector.fine, levels[0].seen, levels[0].picture, attitude, noise)
     return TextureState(
         detector.fine,
@@ -177,28 +198,64 @@ def _angle(a: Array, b: Array) -> float:
     return float(np.linalg.norm(rotation_between(a, b)))
 
 
-def _learnt(detector: TextureDetector, now: TextureState, attitude: Array) -> TextureState:
+def _learnt(
+    detector: TextureDetector, now: TextureState, shown: tuple[ChartLight, ChartLight], attitude: Array
+) -> TextureState:
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
     pixel = detector.fine.pixel
     starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
     turn, task = divmod(now.frame_index, _EVERY)
     moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
-    settle = min(path / _DETAIL, 1.0) / _LOOKS
-    levels = []
-    for view, level in zip(detector.views, (now.fine, now.coarse), strict=True):
-        seen, picture = level
-        if task == _EVERY // 2 or not now.turned:
-            seen = weigh(view, seen, picture, attitude, now.noise, settle)
-        if starts:
-            seen = seen_again(view, seen, seen.contrast, now.noise)
-            picture = learn(view, seen, picture, now.began, _VIEWS, forget=True)
-            picture = learn(view, seen, picture, attitude, _VIEWS)
-        elif moved:
-            picture = learn(view, seen, picture, attitude, _VIEWS, turn)
-        levels.append(Level(seen, picture))
+    weighs = task == _EVERY // 2 or not now.turned
+    work = _Work(weighs, starts, moved, turn, min(path / _DETAIL, 1.0) / _LOOKS)
+    fine, coarse = (
+        _level_after(view, level, light, attitude, now, work)
+        for view, level, light in zip(detector.views, (now.fine, now.coarse), shown, strict=True)
+    )
     learnt = attitude if starts or moved else now.learnt_at
-    return now._replace(fine=levels[0], coarse=levels[1], learnt_at=learnt, turned=now.turned or starts)
+    return now._replace(fine=fine, coarse=coarse, learnt_at=learnt, turned=now.turned or starts)
+
+
+class _Work(NamedTuple):
+    """Work of a frame on the pictures."""
+
+    weighs: bool  # whether each sample turns
+    starts: bool  # pictures of the ball alone
+    moved: bool  # so far that another lesson begins
+    turn: int  # number of the lesson
+    settle: float  # share of the frame in the contrast that stands still
+
+
+def _level_after(
+    view: TextureView, level: Level, light: ChartLight, attitude: Array, now: TextureState, work: _Work
+) -> Level:
+    """Return samples and picture at one scale after a frame at an attitude."""
+    seen, picture, lesson = level
+    if work.weighs:
+        seen = weigh(view, seen, picture, attitude, now.noise, work.settle)
+    if work.starts:
+        seen = seen_again(view, seen, seen.contrast, now.noise)
+        picture = forget(view, seen, picture, now.began)
+        lesson = Lesson(attitude, seen, contrast_on_chart(view, light), (tiles_in_view(view, attitude),))
+    elif work.moved:
+        parts = _parts(tiles_to_learn(view, picture, attitude, work.turn))
+        lesson = Lesson(attitude, seen, contrast_on_chart(view, light), parts)
+    if lesson is not None:
+        picture, lesson = _with_lesson(view, picture, lesson)
+    return Level(seen, picture, lesson)
+
+
+def _parts(tiles: Tiles) -> tuple[Tiles, ...]:
+    """Return tiles in parts, one for each frame until the next lesson at most."""
+    return tuple(np.array_split(tiles, np.clip(-(-len(tiles) // _MOST_TILES), 1, _EVERY)))
+
+
+def _with_lesson(view: TextureView, picture: Picture, lesson: Lesson) -> tuple[Picture, Lesson | None]:
+    """Return the picture after the next part of a lesson, and the rest of it."""
+    part, *rest = lesson.parts
+    learnt = learn(view, lesson.seen, lesson.contrast, picture, lesson.attitude, part)
+    return learnt, lesson._replace(parts=tuple(rest)) if rest else None
 
 
 def _detections(
@@ -211,23 +268,12 @@ def _detections(
     """
     if alignment is None:
         return no_detections(), np.zeros(0, dtype=np.intp)
-    b = view.anchors @ alignment.attitude.T
-    E = tangent_basis(b)
-    H = E.transpose(0, 2, 1) @ alignment.information @ E
-    faces = b @ tracker.filter.towards_camera > tracker.filter.horizon
-    which = np.flatnonzero(faces & (np.linalg.eigvalsh(H)[:, 1] > _LOOSE**-2))
-    b, E = b[which], E[which]
-    C = np.linalg.inv(H[which] + _PRIOR**-2 * np.eye(2))
-    spread = C + (_FLOOR_PX * view.pixel) ** 2 * np.eye(2)
-    own = E @ C @ E.transpose(0, 2, 1) @ alignment.gradient[which][:, :, None]
-    b = np.einsum("kij,kj->ki", exp(own[:, :, 0]), b)
-    steps = 1e-4 * np.cross(E.transpose(0, 2, 1), b[:, None])  # by a turn about each axis
-    at = seen_at(np.concatenate([b[:, None], b[:, None] + steps], axis=1).reshape(-1, 3), view.rig, view.pose)
-    uv = at.reshape(-1, 3, 2)
-    J = (uv[:, 1:] - uv[:, :1]).transpose(0, 2, 1) / 1e-4
-    covariance = J @ spread @ J.transpose(0, 2, 1)
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    return Detections(np.ascontiguousarray(uv[:, 0]), covariance, alignment.pixels[which]), which
+    facing = tracker.filter.towards_camera, tracker.filter.horizon
+    errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel), view_of(view.rig, view.pose)
+    place, covariance, which = kernels.anchor_points(
+        view.anchors, alignment.attitude, alignment.information, alignment.gradient, errors, facing, ball
+    )
+    return Detections(place, covariance, alignment.pixels[which]), which
 
 
 def _next_phase(

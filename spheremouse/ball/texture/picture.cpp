@@ -2,12 +2,12 @@
 
 namespace spheremouse::ball {
 
-WIDE void Look::at(const Picture& picture, const Matrix3f& towards, const Pixels& pixels, size_t first) {
+WIDE void Look::at(const Picture& picture, const Matrix3f& towards, const float* x, const float* y, const float* z,
+                   size_t count) {
     const int n = picture.n;
-    const float *x = pixels.x.data() + first, *y = pixels.y.data() + first, *z = pixels.z.data() + first;
     const float t[9] = {towards(0, 0), towards(0, 1), towards(0, 2), towards(1, 0), towards(1, 1),
                         towards(1, 2), towards(2, 0), towards(2, 1), towards(2, 2)};
-    size = std::min(MOST, pixels.size() - first);
+    size = std::min(MOST, count);
     int cell[MOST], axis[MOST];
     float down[MOST], right[MOST], by_row[MOST], by_column[MOST], sign[MOST];
     for (size_t i = 0; i < size; i++) {
@@ -38,14 +38,32 @@ WIDE void Look::at(const Picture& picture, const Matrix3f& towards, const Pixels
     }
 }
 
-Pixels pixels_on_ball(const Samples& samples, float least_odds) {
-    Pixels found;
-    found.reserve(size_t(samples.size()));
-    const float* d = samples.direction;
-    for (int row = 0, i = 0; row < samples.rows; row++)
-        for (int column = 0; column < samples.columns; column++, i++, d += 3)
-            if (samples.odds[i] >= least_odds && d[0] < 2.0f) found.add(i, samples.at(row, column), d[0], d[1], d[2]);
-    return found;
+void Pixels::make_room(size_t n) {
+    if (sample.size() >= n) return;
+    sample.resize(n);
+    for (auto* column : {&contrast, &x, &y, &z}) column->resize(n);
+}
+
+void Pixels::take(const Samples& samples, float least_odds) {
+    make_room(samples.size + 1);
+    size_t n = 0;
+    for (size_t i = 0; i < samples.size; i++) {
+        sample[n] = int(i);
+        contrast[n] = samples.contrast[i] - samples.offset[i];
+        x[n] = samples.x[i], y[n] = samples.y[i], z[n] = samples.z[i];
+        n += size_t((samples.odds[i] >= least_odds) & (samples.x[i] < 2.0f));  // a branch would be taken by chance
+    }
+    size_ = n;
+}
+
+void Pixels::take(const Pixels& other, const std::vector<size_t>& which) {
+    make_room(which.size());
+    size_ = which.size();
+    for (size_t i = 0; i < size_; i++) {
+        const size_t k = which[i];
+        sample[i] = other.sample[k], contrast[i] = other.contrast[k];
+        x[i] = other.x[k], y[i] = other.y[k], z[i] = other.z[k];
+    }
 }
 
 Picture read_picture(nb::tuple picture) {
@@ -59,21 +77,16 @@ Picture read_picture(nb::tuple picture) {
 }
 
 Samples read_samples(nb::tuple samples) {
-    members(samples, 5, "samples");
-    const auto contrast = array<const float, -1, -1>(samples[0], "contrast");
-    const auto direction = array<const float, -1, -1, 3>(samples[1], "direction");
-    const auto odds = array<const float, -1, -1>(samples[2], "odds");
-    const auto offset = array<const float, -1, -1>(samples[3], "offset");
-    const int64_t step = number<int>(samples[4], "samples");
-    const int rows = int(direction.shape(0)), columns = int(direction.shape(1));
-    for (const auto& each : {odds, offset})
-        if (int(each.shape(0)) != rows || int(each.shape(1)) != columns)
-            throw nb::type_error("odds, offset: must have the shape of direction");
-    if (step < 1 || (rows - 1) * step >= int64_t(contrast.shape(0)) ||
-        (columns - 1) * step >= int64_t(contrast.shape(1)))
-        throw nb::type_error("contrast: must have a pixel for each sample");
-    return {contrast.data(), direction.data(), odds.data(), offset.data(), int(contrast.shape(1)), rows,
-            columns,         int(step)};
+    members(samples, 4, "samples");
+    const auto contrast = array<const float, -1>(samples[0], "contrast");
+    const auto direction = array<const float, 3, -1>(samples[1], "direction");
+    const auto odds = array<const float, -1>(samples[2], "odds"), offset = array<const float, -1>(samples[3], "offset");
+    const size_t n = contrast.size();
+    for (const auto& [size, name] :
+         {std::pair(direction.shape(1), "direction"), {odds.size(), "odds"}, {offset.size(), "offset"}})
+        if (size != n) throw nb::type_error((std::string(name) + ": must have the length of contrast").c_str());
+    const float* x = direction.data();
+    return {contrast.data(), x, x + n, x + 2 * n, odds.data(), offset.data(), n};
 }
 
 }  // namespace spheremouse::ball

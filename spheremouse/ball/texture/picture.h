@@ -57,38 +57,30 @@ inline Vector3f direction_of(int face, float row, float column, int n) {
     return x;
 }
 
-/// The samples of a picture of the camera, every few pixels: each with its direction on the ball.
+/// The samples of a picture of the camera: every few pixels of the chart that show the ball.
 struct Samples {
-    const float* contrast;   // (h, w) of a window
-    const float* direction;  // (rows, columns, 3) obj; nan: not on the ball
-    const float* odds;       // (rows, columns) log odds that it turns with the ball
-    const float* offset;     // (rows, columns) contrast that stands still: of light, its shadows and reflections
-    int width, rows, columns, step;
-
-    int size() const { return rows * columns; }
-    float at(int row, int column) const {
-        return contrast[size_t(row * step) * width + size_t(column * step)] - offset[row * columns + column];
-    }
+    const float* contrast;       // (n,)
+    const float *x, *y, *z;      // (n,) direction, obj
+    const float *odds, *offset;  // (n,) log odds to turn with the ball; contrast that stands still: of light, its
+                                 // shadows and reflections
+    size_t size;
 };
 
-/// Samples in columns: number, contrast, and direction (obj).
-struct Pixels {
+/// Some samples in columns: number, contrast without what stands still, and direction (obj).
+class Pixels {
+    size_t size_ = 0;  // the columns may be longer: the pages of new memory take long
+
+    void make_room(size_t n);
+
+  public:
     std::vector<int> sample;
     std::vector<float> contrast, x, y, z;
 
-    size_t size() const { return sample.size(); }
-    void reserve(size_t n) {
-        sample.reserve(n);
-        for (auto* column : {&contrast, &x, &y, &z}) column->reserve(n);
-    }
-    void add(int number, float c, float dx, float dy, float dz) {
-        sample.push_back(number);
-        contrast.push_back(c);
-        x.push_back(dx), y.push_back(dy), z.push_back(dz);
-    }
-    void add(const Pixels& other, size_t i) {
-        add(other.sample[i], other.contrast[i], other.x[i], other.y[i], other.z[i]);
-    }
+    size_t size() const { return size_; }
+    /// Take the samples with a direction, whose log odds are at least so large.
+    void take(const Samples& samples, float least_odds);
+    /// Take some of other pixels.
+    void take(const Pixels& other, const std::vector<size_t>& which);
 };
 
 /// What a picture shows in the directions of some pixels.
@@ -99,12 +91,10 @@ struct Look {
     float by_x[MOST], by_y[MOST], by_z[MOST];  // change of the value by a rotation of the ball, in its axes
     int tile[MOST];
 
-    /// Look at up to `MOST` pixels from the `first` on, at an attitude `towards`, R_ball_obj.
-    void at(const Picture& picture, const Matrix3f& towards, const Pixels& pixels, size_t first);
+    /// Look at up to `MOST` of the `count` directions (x, y, z), obj, at an attitude `towards`, R_ball_obj.
+    void at(const Picture& picture, const Matrix3f& towards, const float* x, const float* y, const float* z,
+            size_t count);
 };
-
-/// Return the samples on the ball whose log odds are at least so large.
-Pixels pixels_on_ball(const Samples& samples, float least_odds);
 
 Picture read_picture(nb::tuple picture);
 Samples read_samples(nb::tuple samples);

@@ -23,7 +23,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
 Floats = NDArray[np.float32]
-Samples = tuple[Floats, Floats, Floats, Floats, int]  # contrast, direction, log odds, offset and step, for `kernels`
+Tiles = NDArray[np.int64]
+Samples = tuple[Floats, Floats, Floats, Floats]  # contrast, direction, log odds and offset, for `kernels`
 
 STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
 _NOISE = 0.01  # of a contrast, without image noise: shading
@@ -36,6 +37,9 @@ _SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one 
 _ROUNDING = 0.4  # grey values, of mean and interpolation
 _DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
 _MOST_SAMPLES = 16000
+_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
+_DOUBLE = 1.0  # views of a tile, after which it is learnt half as often
+_SELDOM = 3  # times that this halves
 _SAME, SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
 _APART = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
 DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
@@ -51,12 +55,16 @@ class TextureView:
     pose: Pose
     chart: Chart
     inside: Image  # (h, w) 255 on the ball, 0 elsewhere, of the chart
-    share: tuple[Floats, ...]  # (h, w) one over the small and the large neighbourhood of a ball of grey value 1
+    share: Floats  # (h, w) one over the large neighbourhood of a ball of grey value 1
     widths: tuple[int, int]  # px of the chart, of the small and of the large neighbourhood
-    direction: Floats  # (rows, columns, 3) obj, of samples every `step` px of the chart; nan: not on the ball
-    nothing: Floats  # (rows, columns) 0, or -inf where a sample is not on the ball
-    step: int  # px
+    step: int  # px from a sample to the next
+    number: NDArray[np.int32]  # (rows, columns) the sample at each `step`-th pixel; -1: it has no place on the ball
+    place: NDArray[np.intp]  # (n,) of each sample in `number`
+    at: NDArray[np.int32]  # (n,) pixel of the chart of each sample
+    direction: Floats  # (3, n) obj
     cells: int  # along a face of the picture
+    tiles: Floats  # (m, 3) unit vectors to their middles, ball
+    least_height: float  # of a tile's middle over the plane across the view, for one that is learnt; radii
     anchors: Array  # (k, 3) unit vectors, ball
     anchor_of: NDArray[np.int64]  # (6, t, t) the nearest anchor of each tile
 
@@ -64,6 +72,13 @@ class TextureView:
     def pixel(self) -> float:
         """Angle of the ball between two pixels of the chart, rad."""
         return self.chart.spacing
+
+
+class ChartLight(NamedTuple):
+    """Light of a frame on a chart."""
+
+    light: Image  # (h, w) grey values, 0 beside the ball
+    far: Floats  # (h, w) of this chart or of a coarser one: mean grey value of a large neighbourhood
 
 
 class Picture(NamedTuple):
@@ -77,14 +92,14 @@ class Picture(NamedTuple):
 class Seen(NamedTuple):
     """Samples of a frame, each with the odds that it turns with the ball."""
 
-    contrast: Floats  # (h, w) of the chart
-    mean: Floats  # (rows, columns) contrast of late
-    odds: Floats  # (rows, columns) log odds that the sample turns with the ball
-    least: Floats  # (rows, columns) log odds of the sample of its neighbourhood that stands still most likely
-    offset: Floats  # (rows, columns) contrast that stands still: of light, its shadows and reflections
-    first: Floats  # (rows, columns) contrast of the first frame
-    counts: Floats  # (rows, columns) `least`, or -inf for a detail that may stand still since the first frame
-    turning: Floats  # (rows, columns) `counts`, or -inf for any sample that may
+    contrast: Floats  # (n,)
+    mean: Floats  # (n,) contrast of late
+    odds: Floats  # (n,) log odds that the sample turns with the ball
+    least: Floats  # (n,) log odds of the sample of its neighbourhood that stands still most likely
+    offset: Floats  # (n,) contrast that stands still: of light, its shadows and reflections
+    first: Floats  # (n,) contrast of the first frame
+    counts: Floats  # (n,) `least`, or -inf for a detail that may stand still since the first frame
+    turning: Floats  # (n,) `counts`, or -inf for any sample that may
 
 
 class Alignment(NamedTuple):
@@ -117,18 +132,37 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     small = 2 * max(round(0.5 * _SMALL / chart.spacing), 1) + 1
     large = 2 * round(0.5 * _LARGE / chart.spacing) + 1
     shown = inside.astype(np.uint8)
-    share = _inverse(_summed_twice(shown, small)), _inverse(_box(shown.astype(np.float32), large))
+    share = np.float32(1.0) / np.maximum(_box(shown.astype(np.float32), large), np.float32(1e-3))
     step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
     direction = chart.directions()
-    whole = cv2.erode(shown, np.ones((2 * small - 1, 2 * small - 1), np.uint8))
-    direction[~(chart.facing(direction) > kernels.FACING) | (whole == 0)] = np.nan
-    direction = np.ascontiguousarray(direction[::step, ::step], dtype=np.float32)
-    nothing = np.where(np.isfinite(direction[..., 0]), 0.0, -np.inf).astype(np.float32)
+    margin = small - 1 + step  # cells beside a sample have their whole neighbourhood on the ball
+    whole = cv2.erode(shown, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8), borderValue=0)
+    samples = (chart.facing(direction) > kernels.FACING) & (whole != 0)
+    at = np.zeros_like(samples)
+    at[::step, ::step] = samples[::step, ::step]
+    number = np.full(at[::step, ::step].shape, -1, np.int32)
+    number[samples[::step, ::step]] = np.arange(np.count_nonzero(at))
     cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
-    anchors = anchor_directions()
-    anchor_of = np.argmax(cell_directions(cells // TILE) @ anchors.T, axis=-1)
+    anchors, tiles = anchor_directions(), cell_directions(cells // TILE)
+    # rad, from the middle of a tile to a corner
+    reach = 2.0**0.5 * TILE * HALF / cells
     return TextureView(
-        rig, pose, chart, 255 * shown, share, (small, large), direction, nothing, step, cells, anchors, anchor_of
+        rig,
+        pose,
+        chart,
+        255 * shown,
+        np.asarray(share, np.float32),
+        (small, large),
+        step,
+        number,
+        np.flatnonzero(number >= 0),
+        np.flatnonzero(at).astype(np.int32),
+        np.ascontiguousarray(direction[at].T, dtype=np.float32),
+        cells,
+        tiles.reshape(-1, 3).astype(np.float32),
+        chart.height(kernels.FACING) - reach,
+        anchors,
+        np.argmax(tiles @ anchors.T, axis=-1),
     )
 
 
@@ -143,33 +177,23 @@ def texture_pixel(rig: Rig, pose: Pose) -> float:
     return distance / (rig.ball.radius * max(rig.camera.intrinsic[:2]))
 
 
-def contrast_of(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tuple[Floats, Floats], float]:
-    """Return the contrast of a chart's grey values, (h, w) on it and on the coarse chart, and the mean grey value."""
+def light_on_charts(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tuple[ChartLight, ChartLight], float]:
+    """Return what grey values on a chart, 0 beside the ball, show there and on the coarse chart, and their mean."""
     size = coarse.chart.size
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
-    light = cv2.bitwise_and(rough, coarse.inside).astype(np.float32)
-    far = np.asarray(cv2.multiply(_box(light, coarse.widths[1]), coarse.share[1]) + np.float32(_DARK), np.float32)
-    mean = float(light.sum() / max(np.count_nonzero(coarse.inside), 1))
-    return (_contrast(fine, grey, far), _contrast(coarse, rough, far)), mean
+    rough = np.asarray(cv2.bitwise_and(rough, coarse.inside), np.uint8)
+    far = _box(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK)
+    mean = float(rough.sum() / max(np.count_nonzero(coarse.inside), 1))
+    return (ChartLight(grey, far), ChartLight(rough, far)), mean
 
 
-def _contrast(view: TextureView, grey: Image, far: Floats) -> Floats:
-    light = np.asarray(cv2.bitwise_and(grey, view.inside), np.uint8)
-    return kernels.contrast_on_chart(light, _summed_twice(light, view.widths[0]), view.share[0], far)
-
-
-def _summed_twice(picture: Image, width: int) -> Floats:
-    """Return the sums over a neighbourhood that is nearly round: sums of sums. The `width` is up to 16 px."""
-    sums = cv2.boxFilter(picture, cv2.CV_16U, (width, width), normalize=False)
-    return np.asarray(cv2.boxFilter(sums, cv2.CV_32F, (width, width), normalize=False), np.float32)
+def contrast_of_samples(view: TextureView, shown: ChartLight) -> Floats:
+    """Return the contrast of the samples, (n,)."""
+    return kernels.contrast_of_samples(shown.light, view.at, shown.far, view.widths[0] // 2)
 
 
 def _box(picture: Image | Floats, width: int) -> Floats:
     return np.asarray(cv2.blur(picture, (width, width)), np.float32)
-
-
-def _inverse(part: Floats) -> Floats:
-    return np.asarray(1.0 / np.maximum(part, 1e-3), np.float32)
 
 
 def empty_picture(view: TextureView) -> Picture:
@@ -180,10 +204,9 @@ def empty_picture(view: TextureView) -> Picture:
 
 
 def first_seen(view: TextureView, contrast: Floats) -> Seen:
-    """Return the samples of a first frame: all may turn with the ball."""
-    mean = np.ascontiguousarray(contrast[:: view.step, :: view.step])
-    zero = np.zeros(mean.shape, np.float32)
-    return Seen(contrast, mean, zero, view.nothing, zero, mean, view.nothing, view.nothing)
+    """Return the samples of a first frame by their contrast, (n,). All may turn with the ball."""
+    zero = np.zeros(len(view.at), np.float32)
+    return Seen(contrast, contrast, zero, zero, zero, contrast, zero, zero)
 
 
 def without_past(seen: Seen) -> Seen:
@@ -192,11 +215,11 @@ def without_past(seen: Seen) -> Seen:
 
 
 def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) -> Seen:
-    """Return the samples with the contrast of a frame.
+    """Return the samples with the contrast of a frame, (n,).
 
     A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
     """
-    samples = contrast, view.direction, seen.least, seen.offset, view.step
+    samples = contrast, view.direction, seen.least, seen.offset
     counts, turning = kernels.leave_out_doubtful(samples, seen.first, seen.odds, _SAME * noise, SHOWS * noise)
     return seen._replace(contrast=contrast, counts=counts, turning=turning)
 
@@ -215,26 +238,44 @@ def align_samples(
     return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
 
 
-def learn(
-    view: TextureView, seen: Seen, picture: Picture, attitude: Array, most: float, turn: int = -1, forget: bool = False
-) -> Picture:
-    """Return the picture with what a frame at `attitude`, (3, 3), shows. A cell is the mean of up to `most` views.
+def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
+    """Return the tiles, (k,), of which a frame at `attitude`, (3, 3), shows a part."""
+    return np.flatnonzero(view.tiles @ (view.chart.axes[2] @ attitude) > view.least_height)
 
-    With a `turn`, the number of calls so far, each call learns some of the well known parts. With `forget`, the picture
-    loses instead what a frame at that attitude took from pixels that stand still.
+
+def tiles_to_learn(view: TextureView, picture: Picture, attitude: Array, turn: int) -> Tiles:
+    """Return the tiles, (k,), in view that a turn learns. The more often one was seen, the less it gains."""
+    which = tiles_in_view(view, attitude)
+    every = 1 << np.minimum(picture.known.ravel()[which] / _DOUBLE, _SELDOM).astype(int)
+    return which[(which - turn) % every == 0]
+
+
+def learn(view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles) -> Picture:
+    """Return the picture with what some tiles show in a frame at `attitude`, (3, 3), with the chart's contrast, (h, w).
+
+    A cell is the mean of up to 20 views.
     """
+    return _taught(view, seen, contrast, picture, attitude, tiles, forget=False)
+
+
+def forget(view: TextureView, seen: Seen, picture: Picture, attitude: Array) -> Picture:
+    """Return the picture without what a frame at `attitude`, (3, 3), took from pixels that stand still."""
+    nothing = np.zeros(view.inside.shape, np.float32)
+    return _taught(view, seen, nothing, picture, attitude, tiles_in_view(view, attitude), forget=True)
+
+
+def _taught(
+    view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles, forget: bool
+) -> Picture:
     learnt = Picture(*(part.copy() for part in picture))
-    kernels.learn_texture(
-        _samples(view, seen, seen.counts),
-        learnt[:2],
-        learnt.known,
-        view.chart,
-        attitude,
-        most,
-        turn,
-        forget,
-    )
+    shown = contrast, view.number, seen.counts, seen.offset, view.step
+    kernels.learn_texture(shown, learnt, tiles, view.chart, attitude, _VIEWS, forget)
     return learnt
+
+
+def contrast_on_chart(view: TextureView, shown: ChartLight) -> Floats:
+    """Return the contrast on the chart, (h, w)."""
+    return kernels.contrast_on_chart(shown.light, view.inside, shown.far, view.widths[0] // 2)
 
 
 def with_doubtful(seen: Seen) -> Seen:
@@ -276,13 +317,15 @@ def weigh(
         _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, apart
     )
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
-    least = cv2.erode(cv2.medianBlur(odds, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
-    return seen._replace(mean=mean, odds=odds, offset=offset, least=least + view.nothing)
+    grid = np.zeros(view.number.shape, np.float32)
+    grid.ravel()[view.place] = odds
+    least = cv2.erode(cv2.medianBlur(grid, 3), np.ones((reach, reach), np.uint8))  # a single sample may be chance
+    return seen._replace(mean=mean, odds=odds, offset=offset, least=least.ravel()[view.place])
 
 
 def _samples(view: TextureView, seen: Seen, odds: Floats) -> Samples:
     """Return the samples as the native functions have them, with their log odds."""
-    return seen.contrast, view.direction, odds, seen.offset, view.step
+    return seen.contrast, view.direction, odds, seen.offset
 
 
 def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:

@@ -30,6 +30,7 @@ from spheremouse.ball.texture.picture import (
     anchor_directions,
     cell_directions,
     contrast_noise,
+    contrast_of_samples,
     first_seen,
     grain_of,
     without_past,
@@ -143,7 +144,7 @@ def to_map(state: TrackState[So3State]) -> PictureMap | None:
     parts = state.filter.to_map(SURE)
     if parts is None or now.usual == 0.0:
         return None
-    details = now.details / max(np.count_nonzero(np.isfinite(now.coarse.seen.least)), 1)
+    details = now.details / max(len(now.coarse.seen.least), 1)
     return PictureMap(now.fine.picture, now.coarse.picture, parts, now.noise, now.usual, details)
 
 
@@ -156,13 +157,14 @@ def recall(state: TrackState[So3State], known: BallMap) -> TrackState[So3State]:
 
 def recalled(detector: TextureDetector, frame: Frame, saved: PictureMap) -> TextureState:
     """Return the state of a detector that has a saved picture, before its first frame."""
-    contrasts, light = detector.contrast(frame.image)
+    shown, light = detector.light(frame.image)
     grain = grain_of(detector.resampling, frame.image)
     levels = []
-    for view, contrast, picture in zip(detector.views, contrasts, (saved.fine, saved.coarse), strict=True):
-        levels.append(Level(without_past(first_seen(view, contrast)), resized(picture, view.cells)))
+    for view, one, picture in zip(detector.views, shown, (saved.fine, saved.coarse), strict=True):
+        seen = without_past(first_seen(view, contrast_of_samples(view, one)))
+        levels.append(Level(seen, resized(picture, view.cells)))
     fine, coarse = levels
-    details = saved.details * np.count_nonzero(np.isfinite(detector.coarse.nothing))
+    details = saved.details * len(detector.coarse.at)
     anywhere = np.eye(3)
     return TextureState(
         detector.fine,
@@ -249,9 +251,9 @@ def _samples(picture: Picture, most: int) -> Samples:
     """Return up to `most` known cells of a picture as samples of a frame in which the ball is seen from all sides."""
     index = np.flatnonzero(_own_cells(picture) & (picture.weight >= LEAST_WEIGHT))
     index = index[:: max(len(index) // most, 1)]
-    direction = cell_directions(picture.value.shape[1]).reshape(1, -1, 3)[:, index].astype(np.float32)
-    zero = np.zeros((1, len(index)), np.float32)
-    return np.ascontiguousarray(picture.value.reshape(1, -1)[:, index]), direction, zero, zero, 1
+    direction = cell_directions(picture.value.shape[1]).reshape(-1, 3)[index].astype(np.float32)
+    zero = np.zeros(len(index), np.float32)
+    return picture.value.ravel()[index], np.ascontiguousarray(direction.T), zero, zero
 
 
 def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:

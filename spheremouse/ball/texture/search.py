@@ -20,13 +20,15 @@ from spheremouse.ball.texture.chart import Chart, Resampling, chart_of, resampli
 from spheremouse.ball.texture.picture import (
     DETAIL,
     Alignment,
+    ChartLight,
     Floats,
     Picture,
     Seen,
     TextureView,
+    Tiles,
     align,
-    contrast_of,
     correlate,
+    light_on_charts,
     texture_pixel,
     texture_spacing,
     texture_view,
@@ -63,9 +65,9 @@ class TextureDetector:
         """The views, the fine one first."""
         return self.fine, self.coarse
 
-    def contrast(self, image: Image) -> tuple[tuple[Floats, Floats], float]:
-        """Return the contrast of the ball in an image, (h, w) of the fine and of the coarse chart, and its light."""
-        return contrast_of(self.fine, self.coarse, self.resampling(image))
+    def light(self, image: Image) -> tuple[tuple[ChartLight, ChartLight], float]:
+        """Return what an image shows on the fine and on the coarse chart, and the mean grey value."""
+        return light_on_charts(self.fine, self.coarse, self.resampling(image))
 
 
 def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = ()) -> TextureDetector:
@@ -79,9 +81,9 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     parts = inside.reshape(chart.size // _COARSE, _COARSE, chart.size // _COARSE, _COARSE)
     fine = texture_view(rig, pose, chart, inside)
     coarse = texture_view(rig, pose, chart.reduced(_COARSE), parts.all(axis=(1, 3)))
-    if not np.isfinite(coarse.direction).any():
+    if len(coarse.at) == 0 or len(fine.at) == 0:
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
-    return TextureDetector(resample, fine, coarse)
+    return TextureDetector(resample._replace(inside=fine.inside), fine, coarse)
 
 
 def texture_chart(rig: Rig, pose: Pose) -> tuple[Chart, Resampling]:
@@ -91,11 +93,21 @@ def texture_chart(rig: Rig, pose: Pose) -> tuple[Chart, Resampling]:
     return chart, resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
 
 
+class Lesson(NamedTuple):
+    """A frame whose tiles the picture learns in parts, one for each of the next frames."""
+
+    attitude: Array  # (3, 3) R_obj_ball
+    seen: Seen
+    contrast: Floats  # (h, w) of the chart
+    parts: tuple[Tiles, ...]
+
+
 class Level(NamedTuple):
     """Samples and picture at one scale."""
 
     seen: Seen
     picture: Picture
+    lesson: Lesson | None = None
 
 
 class TextureState(NamedTuple):

@@ -39,16 +39,11 @@ def plain(_, x):
 
 
 def contrast_at(view, texture, R, rng=None):
-    """Return the contrast, (h, w) of the window, of a ball at R_obj_ball, with noise from `rng`."""
-    d = view.direction.reshape(-1, 3).astype(float)
-    on_ball = np.isfinite(d[:, 0])
-    value = np.zeros(len(d), np.float32)
-    value[on_ball] = texture(view, d[on_ball] @ R)
+    """Return the contrast of the samples, (n,), of a ball at R_obj_ball, with noise from `rng`."""
+    value = texture(view, view.direction.T.astype(float) @ R)
     if rng is not None:
-        value[on_ball] += NOISE * rng.normal(size=np.count_nonzero(on_ball))
-    contrast = np.zeros(view.inside.shape, np.float32)
-    contrast[:: view.step, :: view.step] = value.reshape(view.direction.shape[:2])
-    return contrast
+        value = value + NOISE * rng.normal(size=len(value))
+    return value.astype(np.float32)
 
 
 def cell_directions(n):

@@ -1,9 +1,11 @@
 """The native functions of the texture refuse wrong arrays by name, and survive any number in right ones."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from spheremouse.ball.texture.picture import first_seen, learn, weigh
+from spheremouse.ball.texture.picture import first_seen, learn, tiles_in_view, tiles_to_learn, weigh
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels
 from tests.ball.texture.painted import DETECTOR, NOISE, contrast_at, picture_of, plain, waves
@@ -12,54 +14,74 @@ VIEW = DETECTOR.coarse
 R = exp(np.array([0.3, -0.2, 0.1]))
 SEEN = first_seen(VIEW, contrast_at(VIEW, waves(0), R, np.random.default_rng(0)))
 PICTURE = picture_of(VIEW, waves(0))
-SAMPLES = {
+SAMPLES: dict[str, Any] = {
     "contrast": SEEN.contrast,
     "direction": VIEW.direction,
     "odds": SEEN.least,
     "offset": SEEN.offset,
-    "step": VIEW.step,
 }
+ALL = np.arange(len(VIEW.tiles))
+WHOLE = np.random.default_rng(1).normal(0.0, 0.05, VIEW.inside.shape).astype(np.float32)
 BAD = [np.nan, np.inf, -np.inf, 0.0, 3e38]
 
 
-def aligned(*, R=R, noise=NOISE, place=0.2 * VIEW.pixel, value=PICTURE.value, weight=PICTURE.weight, **samples):
+def _members(samples: dict[str, Any]) -> Any:
+    return tuple((SAMPLES | samples).values())
+
+
+def aligned(
+    *,
+    R=R,
+    noise: Any = NOISE,
+    place: Any = 0.2 * VIEW.pixel,
+    value=PICTURE.value,
+    weight=PICTURE.weight,
+    **samples: Any,
+) -> Any:
     more = {"anchor_of": VIEW.anchor_of, "anchors": len(VIEW.anchors)}
     more |= {name: samples.pop(name) for name in list(samples) if name in more}
-    members = tuple((SAMPLES | samples).values())
+    members = _members(samples)
     return kernels.align_texture(members, (value, weight), R, noise, place, VIEW.pixel, *more.values())
 
 
-def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTURE.weight, **samples):
-    return kernels.correlate_texture(tuple((SAMPLES | samples).values()), (value, weight), attitudes, most)
+def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTURE.weight, **samples: Any) -> Any:
+    return kernels.correlate_texture(_members(samples), (value, weight), attitudes, most)
 
 
-def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, turn=-1, forget=False, most=20.0, **samples):
-    value, weight, tiles = PICTURE.value.copy(), PICTURE.weight.copy(), known.copy()
-    members = tuple((SAMPLES | samples).values())
-    kernels.learn_texture(members, (value, weight), tiles, chart, R, most, turn, forget)
-    return value, weight, tiles
+def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, tiles=ALL, forget=False, most=20.0, **seen: Any) -> Any:
+    value, weight, after = PICTURE.value.copy(), PICTURE.weight.copy(), known.copy()
+    members: Any = {
+        "contrast": WHOLE,
+        "number": VIEW.number,
+        "odds": SEEN.least,
+        "offset": SEEN.offset,
+        "step": VIEW.step,
+    }
+    members = tuple((members | seen).values())
+    kernels.learn_texture(members, (value, weight, after), tiles, chart, R, most, forget)
+    return value, weight, after
 
 
-def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, **samples):
+def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, **samples: Any) -> Any:
     after = mean.copy(), odds_after.copy(), offset_after.copy()
-    kernels.weigh_static(tuple((SAMPLES | samples).values()), PICTURE[:2], R, after, noise, 0.2, 0.01, 3.0)
+    kernels.weigh_static(_members(samples), PICTURE[:2], R, after, noise, 0.2, 0.01, 3.0)
     return after
 
 
-def doubted(*, first=SEEN.first, own=SEEN.odds, **samples):
-    return kernels.leave_out_doubtful(tuple((SAMPLES | samples).values()), first, own, 0.03, 0.02)
+def doubted(*, first=SEEN.first, own=SEEN.odds, **samples: Any) -> Any:
+    return kernels.leave_out_doubtful(_members(samples), first, own, 0.03, 0.02)
 
 
-@pytest.mark.parametrize("function", [aligned, correlated, doubted, learnt, weighed])
+@pytest.mark.parametrize("function", [aligned, correlated, doubted, weighed])
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
         ("contrast", SEEN.contrast.astype(np.float64)),
         ("contrast", SEEN.contrast[: len(SEEN.contrast) // 2].copy()),
-        ("direction", VIEW.direction[:, :, :2].copy()),
+        ("direction", VIEW.direction[:2].copy()),
         ("direction", VIEW.direction[:, ::2]),
         ("odds", SEEN.odds[1:].copy()),
-        ("odds", SEEN.odds.ravel()),
+        ("odds", SEEN.odds[None]),
         ("offset", SEEN.offset[1:].copy()),
         ("offset", None),
     ],
@@ -69,7 +91,7 @@ def test_wrong_samples_are_named(function, name, wrong):
         function(**{name: wrong})
 
 
-OTHER_NAMES = {
+OTHER_NAMES: dict[Any, str] = {
     (weighed, "odds"): "odds_after",
     (weighed, "offset"): "offset_after",
     (learnt, "axes"): "chart",
@@ -91,9 +113,16 @@ OTHER_NAMES = {
         (correlated, "attitudes", np.eye(3, dtype=np.float32)[None]),
         (correlated, "value", PICTURE.value.astype(np.float64)),
         (doubted, "first", SEEN.first[1:].copy()),
-        (doubted, "own", SEEN.odds[:, 1:].copy()),
+        (doubted, "own", SEEN.odds[1:].copy()),
         (learnt, "R", np.eye(2)),
         (learnt, "known", PICTURE.known[:, 1:].copy()),
+        (learnt, "contrast", WHOLE.astype(np.float64)),
+        (learnt, "contrast", WHOLE[:0]),
+        (learnt, "number", VIEW.number.astype(np.int64)),
+        (learnt, "odds", SEEN.least[None]),
+        (learnt, "offset", SEEN.offset[1:].copy()),
+        (learnt, "step", "far"),
+        (learnt, "tiles", ALL.astype(np.int32)),
         (learnt, "axes", VIEW.chart._replace(axes=np.eye(2))),
         (learnt, "spacing", VIEW.chart._replace(spacing="wide")),
         (learnt, "chart", VIEW.chart[:3]),
@@ -105,13 +134,23 @@ OTHER_NAMES = {
 )
 def test_other_wrong_arrays_are_named(function, name, wrong):
     with pytest.raises(TypeError, match=rf"\b{name}\b"):
-        function(**{OTHER_NAMES.get((function, name), name): wrong})
+        function(**{str(OTHER_NAMES.get((function, name), name)): wrong})
 
 
 @pytest.mark.parametrize("anchor", [-1, 20])
 def test_an_anchor_that_does_not_exist_is_refused(anchor):
     with pytest.raises(IndexError, match="anchor_of"):
         aligned(anchor_of=np.full_like(VIEW.anchor_of, anchor))
+
+
+def test_a_sample_or_a_tile_that_does_not_exist_is_refused():
+    with pytest.raises(IndexError, match="number"):
+        learnt(number=VIEW.number + 1)
+    with pytest.raises(IndexError, match="step"):
+        learnt(step=0)
+    for wrong in (-1, len(ALL)):
+        with pytest.raises(IndexError, match="tiles"):
+            learnt(tiles=np.array([wrong]))
 
 
 @pytest.mark.parametrize("bad", BAD)
@@ -127,8 +166,8 @@ def test_an_attitude_that_is_no_rotation_crashes_nothing(bad):
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("axis", [0, 1, 2, slice(None)])
 def test_directions_that_are_none_are_no_part_of_the_ball(bad, axis):
-    direction, row = VIEW.direction.copy(), len(VIEW.direction) // 2
-    direction[row, :, axis] = bad
+    direction = VIEW.direction.copy()
+    direction[axis, ::40] = bad
     found, whole = aligned(direction=direction), aligned()
     assert found[4]
     assert np.allclose(found[0], whole[0], atol=0.5 * VIEW.pixel)
@@ -145,7 +184,7 @@ def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
     memory = np.full((7, 8, 8), np.nan, np.float32)
     memory[:6] = np.random.default_rng(0).normal(size=(6, 8, 8))
     corners = np.array([[x, y, z] for x in (-0.999, 0.999) for y in (-0.999, 0.999) for z in (-1.0, 1.0)])
-    direction = np.where(np.isfinite(VIEW.direction), np.resize(corners, VIEW.direction.shape), np.nan)
+    direction: Any = np.resize(corners, VIEW.direction.T.shape).T
     found = aligned(
         direction=np.ascontiguousarray(direction, dtype=np.float32),
         value=memory[:6],
@@ -153,12 +192,13 @@ def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
         anchor_of=np.zeros((6, 1, 1), np.int64),
         R=np.eye(3),
     )
-    assert found[3] == np.count_nonzero(np.isfinite(direction[..., 0]))
+    assert found[3] == direction.shape[1]
 
 
 def test_no_information_comes_from_what_stands_still_or_is_unknown():
     still, unknown = np.full_like(SEEN.odds, -3.1), np.zeros_like(PICTURE.weight)
-    for change in ({"odds": still}, {"weight": unknown}):
+    changes: list[dict[str, Any]] = [{"odds": still}, {"weight": unknown}]
+    for change in changes:
         found = aligned(**change)
         assert found[3] == 0
         assert not np.any(found[5])
@@ -180,16 +220,18 @@ def test_an_alignment_from_the_attitude_found_stays_there():
 
 
 @pytest.mark.parametrize("known", [0.0, 10.0])
-def test_frames_in_a_row_learn_all_of_a_picture_in_parts(known):
-    """Each tile that is not known yet in one frame, and each that is in 8."""
-    start = picture_of(VIEW, plain, known)
-    parts = [learn(VIEW, SEEN, start, R, 100.0, turn=k).weight > known for k in range(8)]
-    whole = learn(VIEW, SEEN, start, R, 100.0).weight > known
-    every = 1 if known == 0.0 else 8
-    assert np.array_equal(np.any(parts[:every], axis=0), whole)
-    counts = [np.count_nonzero(p) for p in parts[:every]]
-    assert sum(counts) == np.count_nonzero(whole)  # none twice
-    assert max(counts) < 2.0 * np.count_nonzero(whole) / every + 64 * 3
+def test_turns_learn_all_of_a_picture_in_parts(known):
+    """Each tile that is not known yet in one turn, and each that is in 8."""
+    start, every = picture_of(VIEW, plain, known), 1 if known == 0.0 else 8
+    parts = [tiles_to_learn(VIEW, start, R, turn) for turn in range(every)]
+    whole = tiles_in_view(VIEW, R)
+    assert np.array_equal(np.sort(np.concatenate(parts)), whole)  # none twice
+    assert max(len(p) for p in parts) < 1.5 * len(whole) / every
+    seen = learn(VIEW, SEEN, WHOLE, start, R, ALL).weight
+    assert np.array_equal(learn(VIEW, SEEN, WHOLE, start, R, whole).weight, seen)  # the others show nothing
+    for part in parts:
+        start = learn(VIEW, SEEN, WHOLE, start, R, part)
+    assert np.array_equal(start.weight, seen)
 
 
 @pytest.mark.parametrize("noise", [1e-30, 1e30])

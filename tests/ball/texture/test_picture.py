@@ -1,6 +1,7 @@
 """The picture of a ball's texture: geometry, contrast, and the native functions beside their NumPy twins."""
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,16 +9,20 @@ import pytest
 
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.points import directions_at
+from spheremouse.ball.rig import view_of
 from spheremouse.ball.texture.picture import (
     TILE,
     align,
     anchor_directions,
     cell_directions,
+    contrast_of_samples,
     correlate,
     empty_picture,
     first_seen,
+    forget,
     learn,
     seen_again,
+    tiles_in_view,
     weigh,
     with_doubtful,
 )
@@ -45,31 +50,23 @@ def view():
 
 
 def shown(view, texture, R):
-    """The contrast of a ball with a texture at an attitude, each pixel as its sample; (h, w) of the window."""
-    picture = np.zeros(view.inside.shape, np.float32)
-    d = view.direction.reshape(-1, 3).astype(float)
-    on_ball = np.isfinite(d[:, 0])
-    values = np.zeros(len(d), np.float32)
-    values[on_ball] = texture(d[on_ball] @ R)
-    picture[:: view.step, :: view.step] = values.reshape(view.direction.shape[:2])
-    return picture
+    """The contrast of a ball with a texture at an attitude, of each sample, (n,)."""
+    return texture(directions(view) @ R).astype(np.float32)
+
+
+def directions(view):
+    """The directions of the samples, (n, 3)."""
+    return view.direction.T.astype(float)
 
 
 def picture_with(view, texture, weight=5.0):
     """The picture of a texture, each cell as its direction."""
     picture = empty_picture(view)
     n = view.cells
-    x = np.array([twins.direction_of(*cell, n) for cell in np.ndindex(6, n, n)])
+    x = np.array([twins.direction_of(f, i, j, n) for f, i, j in np.ndindex(6, n, n)])
     picture.value[:] = texture(x / np.linalg.norm(x, axis=1, keepdims=True)).reshape(6, n, n)
     picture.weight[:] = weight
     return picture
-
-
-def of_samples(view, seen):
-    """Contrast, (k,), and directions, (k, 3), of the samples on the ball."""
-    d = view.direction.reshape(-1, 3).astype(float)
-    on_ball = np.isfinite(d[:, 0])
-    return seen.contrast[:: view.step, :: view.step].ravel()[on_ball].astype(float), d[on_ball], on_ball
 
 
 @pytest.mark.parametrize("n", [32, 64, 248])
@@ -100,7 +97,7 @@ def test_a_pixel_of_the_chart_shows_its_direction_in_the_mean():
     part = (np.arange(4) - 1.5) / 4.0  # by four by four rays to a pixel
     size = painted.RIG.camera.height, painted.RIG.camera.width
     v, u, dv, du = np.meshgrid(*(np.arange(n) for n in size), part, part, indexing="ij")
-    uv = np.stack([u + du, v + dv], axis=-1).reshape(-1, 2)
+    uv = np.stack([u + du, v + dv], axis=-1).reshape(-1, 2).astype(float)
     found, index = directions_at(uv, painted.RIG, painted.POSE)
     d = fine.chart.directions()
     outside = (fine.chart.facing(d) > 0.4) & (fine.chart.facing(d) < 0.7) & (fine.inside > 0)
@@ -115,7 +112,8 @@ def test_a_pixel_of_the_chart_shows_its_direction_in_the_mean():
         light[index] = np.sin(found @ k + phase)
         image = np.rint(127.0 + 120.0 * light.reshape(*size, 16).mean(axis=2)).astype(np.uint8)
         slope = np.cos(d @ k + phase) * (outward @ k)
-        plain = cv2.remap(cv2.blur(image, (resample.width,) * 2), middle[None], None, cv2.INTER_LINEAR)[0]
+        mean = cv2.blur(image, (resample.width,) * 2)
+        plain = cv2.remap(mean, middle[None, :, 0], middle[None, :, 1], cv2.INTER_LINEAR)[0]
         for shown in (resample(image)[outside], plain):
             shifts.append((slope @ ((shown - 127.0) / 120.0 - np.sin(d @ k + phase)), slope @ slope))
     corrected, uncorrected = (np.divide(*np.sum(shifts[k::2], axis=0)) for k in (0, 1))
@@ -129,22 +127,53 @@ def test_a_chart_has_the_grey_values_between_pixels_and_its_twin_the_same():
     part = np.rint(kernels.PARTS * uv).astype(int)
     (column, row), (right, down) = (part // kernels.PARTS).T, (part % kernels.PARTS).T
     at, parts = (row * 30 + column).astype(np.int32), (down * kernels.PARTS + right).astype(np.uint16)
-    found = kernels.resample_chart(image, at[None], parts[None])[0]
-    assert np.abs(found - twins.resample(image, part / kernels.PARTS)).max() < 0.501
+    inside = np.full((1, 500), 255, np.uint8)
+    inside[0, :9] = inside[0, 100:110] = 0
+    found = kernels.resample_chart(image, at[None], parts[None], inside)
+    assert np.abs(found - (inside > 0) * twins.resample(image, part / kernels.PARTS)).max() < 0.501
     for wrong in (-1, image.size):
         with pytest.raises(IndexError, match="at"):
-            kernels.resample_chart(image, np.full_like(at, wrong)[None], parts[None])
+            kernels.resample_chart(image, np.full_like(at, wrong)[None], parts[None], inside)
+    with pytest.raises(TypeError, match="inside"):
+        kernels.resample_chart(image, at[None], parts[None], inside[:, 1:].copy())
 
 
-def test_contrast_on_a_chart_and_its_twin_the_same():
+@pytest.mark.parametrize("reach", [1, 2])
+def test_contrast_on_a_chart_and_its_twin_the_same(reach):
     rng = np.random.default_rng(1)
     light, far = rng.integers(0, 256, (24, 24)).astype(np.uint8), rng.uniform(50.0, 200.0, (6, 6)).astype(np.float32)
-    mean, share = (rng.uniform(0.0, 10.0, (24, 24)).astype(np.float32) for _ in range(2))
-    found = kernels.contrast_on_chart(light, mean, share, far)
-    assert np.allclose(found, (light - mean * share) / twins.enlarged(far, 4), atol=1e-5)
-    for given in ((light, mean[1:], share, far), (light, mean, share, far[1:].copy()), (light, mean, share, far[:0])):
+    inside = np.tile(255 * (np.abs(np.arange(24) - 12.0) < 9.0), (24, 1)).astype(np.uint8)
+    inside[:2] = 0
+    light &= inside
+    found, twin = kernels.contrast_on_chart(light, inside, far, reach), twins.contrast(light, inside, far, reach)
+    assert np.allclose(found, twin, atol=1e-5)
+    at = np.flatnonzero(inside)[::3].astype(np.int32)
+    assert np.allclose(kernels.contrast_of_samples(light, at, far, reach), twin.ravel()[at], atol=1e-5)
+    for given in ((light, inside[1:], far), (light, inside, far[1:].copy()), (light, inside, far[:0])):
         with pytest.raises(TypeError, match="must have"):
-            kernels.contrast_on_chart(*given)
+            kernels.contrast_on_chart(*given, reach)
+    with pytest.raises(IndexError, match="reach"):
+        kernels.contrast_on_chart(light, inside, far, 3)
+    for wrong in (-1, light.size):
+        with pytest.raises(IndexError, match="at"):
+            kernels.contrast_of_samples(light, np.full_like(at, wrong), far, reach)
+
+
+def test_anchors_in_view_are_points_and_their_twin_the_same(view):
+    rng = np.random.default_rng(6)
+    texture, R = waves(rng), exp(rng.normal(size=3))
+    found = align(view, first_seen(view, shown(view, texture, R)), picture_with(view, texture), R, NOISE)
+    towards = view.chart.axes[2].copy()
+    facing, errors = (towards, 0.3), (0.005, 0.01, 1e-4)
+    given = view.anchors, found.attitude, found.information, found.gradient
+    place, covariance, which = kernels.anchor_points(*given, errors, facing, view_of(view.rig, view.pose))
+    twin = twins.anchor_points(view, found, facing, errors)
+    assert len(which) > 4
+    assert np.array_equal(which, twin[2])
+    assert np.allclose(place, twin[0], atol=1e-9)
+    assert np.allclose(covariance, twin[1], rtol=1e-6)
+    with pytest.raises(TypeError, match="gradient"):
+        kernels.anchor_points(*given[:3], given[3][1:].copy(), errors, facing, view_of(view.rig, view.pose))
 
 
 def test_the_coarse_chart_has_the_mean_of_four_by_four_pixels():
@@ -163,12 +192,9 @@ def test_contrast_is_that_of_the_ball_and_not_of_the_light():
     height, width = RIG.camera.height, RIG.camera.width
     albedo = 0.7 + 0.3 * (cv2.GaussianBlur(rng.normal(size=(height, width)), (0, 0), 2.0) > 0.0)
     slope = np.linspace(1.0, 0.5, width)
-    inside = np.isfinite(DETECTOR.fine.direction[..., 0])
 
     def contrast(image):
-        return DETECTOR.contrast(np.rint(image).astype(np.uint8))[0][0][:: DETECTOR.fine.step, :: DETECTOR.fine.step][
-            inside
-        ]
+        return contrast_of_samples(DETECTOR.fine, DETECTOR.light(np.rint(image).astype(np.uint8))[0][0])
 
     even, twice, sloped = (contrast(light * albedo) for light in (100.0, 200.0, 200.0 * slope))
     assert np.abs(even).max() > 0.1
@@ -181,20 +207,20 @@ def test_contrast_is_that_of_the_ball_and_not_of_the_light():
 def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
-    contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, view.inside.shape).astype(np.float32)
+    contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, len(view.at)).astype(np.float32)
     seen, picture = first_seen(view, contrast), picture_with(view, texture)
     start = exp(rng.normal(0.0, 0.02, 3)) @ R
     found = align(view, seen, picture, start, NOISE)
-    q, d, _ = of_samples(view, seen)
+    q, d = seen.contrast.astype(float), directions(view)
     twin, scale, correlation, information = twins.align(
         q, d, (picture.value.astype(float), picture.weight.astype(float)), start, NOISE, 0.1 * view.pixel, view.pixel
     )
     assert found.converged
     assert np.linalg.norm(log(found.attitude @ R.T)) < 5e-3  # noise, and values between the cells
     assert np.linalg.norm(log(found.attitude @ twin.T)) < 2e-4  # it stops a step earlier, and has single precision
-    assert found.scale == pytest.approx(scale, rel=0.02)
+    assert found.scale == pytest.approx(scale, rel=0.06)  # three standard deviations of a median of 2000
     assert found.correlation == pytest.approx(correlation, abs=5e-3)
-    assert np.allclose(found.information.sum(axis=0), information, rtol=0.03, atol=0.01 * information.max())
+    assert np.allclose(found.information.sum(axis=0), information, rtol=0.12, atol=0.01 * information.max())
     assert found.pixels.sum() <= found.used
 
 
@@ -212,7 +238,7 @@ def test_the_covariance_of_an_alignment_is_the_scatter_of_alignments(view):
 
 
 def test_an_empty_picture_and_a_plain_ball_align_with_nothing(view):
-    flat = first_seen(view, np.zeros(view.inside.shape, np.float32))
+    flat = first_seen(view, np.zeros(len(view.at), np.float32))
     assert not align(view, flat, empty_picture(view), np.eye(3), NOISE).converged
     assert not align(view, flat, picture_with(view, lambda x: np.zeros(len(x))), np.eye(3), NOISE).converged
 
@@ -223,7 +249,7 @@ def test_correlation_is_one_at_the_attitude_and_its_twin_the_same(view, seed):
     texture, R = waves(rng), exp(rng.normal(size=3))
     seen, picture = first_seen(view, shown(view, texture, R)), picture_with(view, texture)
     attitudes = np.stack([R, *(exp(rng.normal(size=3)) for _ in range(20))])
-    q, d, _ = of_samples(view, seen)
+    q, d = seen.contrast.astype(float), directions(view)
     found = correlate(view, seen, picture, attitudes, len(q))
     assert np.allclose(found, [twins.correlate(q, d, picture[:2], A) for A in attitudes], atol=2e-3)
     assert found[0] > 0.97
@@ -235,28 +261,31 @@ def test_correlation_is_one_at_the_attitude_and_its_twin_the_same(view, seed):
 def test_learning_has_the_mean_of_the_views_and_its_twin_the_same(view):
     rng = np.random.default_rng(2)
     small = replace(view, cells=32, anchor_of=np.zeros((6, 4, 4), np.int64))
+    tiles = np.arange(6 * 4 * 4)
     contrast = cv2.GaussianBlur(rng.normal(0.0, 1.0, view.inside.shape), (0, 0), 3.0).astype(np.float32)
-    seen = first_seen(small, contrast)
-    least = np.where(rng.uniform(size=seen.odds.shape) < 0.1, -5.0, view.nothing).astype(np.float32)
+    seen = first_seen(small, np.zeros(len(view.at), np.float32))
+    least = np.where(rng.uniform(size=seen.odds.shape) < 0.1, -5.0, 0.0).astype(np.float32)
     offset = rng.normal(0.0, 0.1, seen.odds.shape).astype(np.float32)
     seen = seen._replace(counts=least, offset=offset)
     picture = empty_picture(small)
+    picture.weight[:] = 19.0
     for R in (np.eye(3), exp(np.array([0.4, 0.2, -0.3]))):
-        value, weight = twins.learn(small, seen, picture, R, 1.5)
-        picture = learn(small, seen, picture, R, 1.5)
+        value, weight = twins.learn(small, seen, contrast, picture, R, 20.0)
+        picture = learn(small, seen, contrast, picture, R, tiles)
         assert np.allclose(picture.weight, weight, atol=1e-5)
         assert np.allclose(picture.value, value, atol=1e-4)
-    assert picture.weight.max() == pytest.approx(1.5)
+    assert picture.weight.max() == pytest.approx(20.0)
     assert np.allclose(picture.known, picture.weight.reshape(6, 4, 8, 4, 8).mean(axis=(2, 4)), atol=1e-5)
 
 
 def test_a_picture_forgets_what_it_took_from_pixels_that_stand_still(view):
     rng = np.random.default_rng(3)
     seen = first_seen(view, shown(view, waves(rng), np.eye(3)))
-    picture = learn(view, seen, empty_picture(view), np.eye(3), 20.0)
-    least = view.nothing.copy()
+    contrast = rng.normal(0.0, 0.1, view.inside.shape).astype(np.float32)
+    picture = learn(view, seen, contrast, empty_picture(view), np.eye(3), tiles_in_view(view, np.eye(3)))
+    least = seen.least.copy()
     least[: len(least) // 2] = -5.0
-    kept = learn(view, seen._replace(counts=least), picture, np.eye(3), 20.0, forget=True)
+    kept = forget(view, seen._replace(counts=least), picture, np.eye(3))
     assert 0.3 < np.count_nonzero(kept.weight) / np.count_nonzero(picture.weight) < 0.7
     assert np.array_equal(kept.weight[kept.weight > 0.0], picture.weight[kept.weight > 0.0])
 
@@ -269,23 +298,23 @@ def test_odds_tell_what_turns_from_what_stays_and_its_twin_the_same(view, turns)
     seen = first_seen(view, shown(view, texture, np.eye(3)))
     seen = seen._replace(contrast=shown(view, texture, R) if turns else seen.contrast)
     after = weigh(view, seen, picture, R, NOISE, 0.02)
-    q, d, on_ball = of_samples(view, seen)
-    before = [part.ravel()[on_ball] for part in (seen.mean, seen.odds, seen.offset)]
+    before = seen.mean, seen.odds, seen.offset
+    q, d = seen.contrast.astype(float), directions(view)
     mean, odds, offset = twins.weigh(q, d, picture[:2], R, before, NOISE, 0.02)
-    assert np.allclose(after.mean.ravel()[on_ball], mean, atol=1e-5)
-    assert np.allclose(after.offset.ravel()[on_ball], offset, atol=1e-5)
-    assert np.mean(np.isclose(after.odds.ravel()[on_ball], odds, atol=0.02)) > 0.99  # but at the limits
-    assert np.mean(after.odds.ravel()[on_ball] * (1.0 if turns else -1.0) > 0.0) > 0.8
+    assert np.allclose(after.mean, mean, atol=1e-5)
+    assert np.allclose(after.offset, offset, atol=1e-5)
+    assert np.mean(np.isclose(after.odds, odds, atol=0.02)) > 0.99  # but at the limits
+    assert np.mean(after.odds * (1.0 if turns else -1.0) > 0.0) > 0.8
 
 
 def test_what_stands_still_is_left_out_with_its_neighbourhood_but_a_single_sample_is_not(view):
     seen = first_seen(view, shown(view, waves(np.random.default_rng(0)), np.eye(3)))
-    middle = np.array(seen.odds.shape) // 2
+    row, column = np.array(view.number.shape) // 2
     for size, out in ((1, 0), (5, None)):
         odds = np.zeros_like(seen.odds)
-        odds[middle[0] : middle[0] + size, middle[1] : middle[1] + size] = -10.0
+        odds[view.number[row : row + size, column : column + size]] = -10.0
         after = weigh(view, seen._replace(odds=odds), empty_picture(view), np.eye(3), NOISE)
-        left = np.count_nonzero((after.least < -3.0) & np.isfinite(after.least))
+        left = np.count_nonzero(after.least < -3.0)
         assert left == out if out is not None else left > size**2
 
 
@@ -295,17 +324,16 @@ def test_a_detail_that_shows_the_same_as_in_the_first_frame_is_in_doubt_until_it
     changed = shown(view, waves(rng), np.eye(3))
     changed[: len(changed) // 2] = first.contrast[: len(changed) // 2]
     now = seen_again(view, first, changed, NOISE)
-    samples, on_ball = changed[:: view.step, :: view.step], np.isfinite(view.nothing)
-    twin = twins.leave_out_doubtful(samples, first.first, first.odds, first.least, 3.0 * NOISE, 2.0 * NOISE)
+    twin = twins.leave_out_doubtful(changed, first.first, first.odds, first.least, 3.0 * NOISE, 2.0 * NOISE)
     assert np.array_equal((now.counts, now.turning), twin)
-    upper = np.arange(len(samples))[:, None] * view.step < len(changed) // 2
-    detail = on_ball & (np.abs(samples) > 3.0 * NOISE)
-    differs = np.abs(samples - first.first) > 4.0 * NOISE
+    upper = np.arange(len(changed)) < len(changed) // 2
+    detail = np.abs(changed) > 3.0 * NOISE
+    differs = np.abs(changed - first.first) > 4.0 * NOISE
     assert np.all(np.isneginf(now.counts[detail & upper]))
-    assert np.all(now.counts[on_ball & (~upper & differs | (np.abs(samples) < NOISE))] == 0.0)
+    assert np.all(now.counts[~upper & differs | (np.abs(changed) < NOISE)] == 0.0)
     proven = seen_again(view, first._replace(odds=np.full_like(first.odds, 4.0)), changed, NOISE)
     assert np.array_equal(proven.counts, with_doubtful(now).counts)
-    assert np.all(proven.counts[on_ball] == 0.0)
+    assert np.all(proven.counts == 0.0)
 
 
 def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
@@ -313,27 +341,23 @@ def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
     rng = np.random.default_rng(7)
     texture = waves(rng)
     picture, seen = picture_with(view, texture), first_seen(view, shown(view, texture, np.eye(3)))
-    light = 0.03 * np.sin(np.arange(seen.odds.shape[1]) * 0.5)[None] * np.ones(seen.odds.shape)
-    light = np.ascontiguousarray(light * np.isfinite(view.nothing), np.float32)
+    light = (0.03 * np.sin(np.nonzero(view.number >= 0)[1] * 0.5)).astype(np.float32)
     for _ in range(400):
         R = exp(rng.normal(size=3))
-        contrast = shown(view, texture, R)
-        contrast[:: view.step, :: view.step] += light
+        contrast = shown(view, texture, R) + light
         seen = weigh(view, seen._replace(contrast=contrast), picture, R, NOISE, 0.02)
-    rest = (seen.offset - light)[np.isfinite(view.nothing)]
+    rest = seen.offset - light
     assert rest.std() < 0.2 * light.std()
 
 
 def test_wrong_arrays_are_named(view):
-    seen, picture = first_seen(view, np.zeros(view.inside.shape, np.float32)), empty_picture(view)
-    samples = (seen.contrast, view.direction, seen.least, seen.offset, view.step)
+    seen, picture = first_seen(view, np.zeros(len(view.at), np.float32)), empty_picture(view)
+    samples = (seen.contrast, view.direction, seen.least, seen.offset)
     for at, name in enumerate(("contrast", "direction", "odds", "offset")):
-        wrong = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
+        wrong: Any = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
         with pytest.raises(TypeError, match=name):
             kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)
     with pytest.raises(TypeError, match="odds"):
         kernels.correlate_texture((*samples[:2], seen.odds[1:], *samples[3:]), picture[:2], np.eye(3)[None], 10)
     with pytest.raises(TypeError, match="value, weight"):
         kernels.correlate_texture(samples, (picture.value, picture.weight[:, 8:, 8:].copy()), np.eye(3)[None], 10)
-    with pytest.raises(TypeError, match="known"):
-        kernels.learn_texture(samples, picture[:2], picture.known[:, 1:].copy(), view.chart, np.eye(3), 1.0, -1, False)

@@ -69,7 +69,7 @@ def test_a_step_is_found_in_the_frame_that_follows_it(degrees):
 def test_a_lost_ball_is_found_at_any_attitude_within_two_seconds():
     rng = np.random.default_rng(3)
     for seed in range(8):
-        last, R = random_turn(rng), random_turn(rng)
+        last, R, found = random_turn(rng), random_turn(rng), None
         for turn in range(PARTS):
             found = search(DETECTOR, state_at(waves(seed % 2), R, rng, turn=turn), last, lost=True)
             if found is not None:
@@ -111,8 +111,9 @@ def test_a_ball_that_a_hand_or_a_sleeve_covers_in_part_is_aligned_by_the_rest(pa
         R = random_turn(rng)
         now = state_at(waves(seed % 2), R, rng)
         cover = contrast_at(DETECTOR.fine, pattern, np.eye(3), rng)
-        covered = round(part * cover.shape[1])
-        now.fine.seen.contrast[:, :covered] = cover[:, :covered]
+        view = DETECTOR.fine
+        covered = view.at % view.chart.size < part * view.chart.size
+        now.fine.seen.contrast[covered] = cover[covered]
         found, _ = near(DETECTOR, now, random_turn(rng, 0.5) @ R)
         assert found is not None
         assert is_right(found, R)

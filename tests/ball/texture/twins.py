@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from spheremouse.geometry.rotation import exp
+from spheremouse.ball.detect.appearance import seen_at
+from spheremouse.geometry.rotation import exp, tangent_basis
 
 HALF, TILE = 1.1, 8
 LEAST_WEIGHT, STATIC_ODDS, YOUNG, CAUCHY, FACING = 0.08, -3.0, 3.0, 2.385, 0.3
@@ -33,9 +34,8 @@ def look(value, weight, x):
     i, j = np.floor(row).astype(int), np.floor(column).astype(int)
     a, b = row - i, column - j
     corners = [(i, j, (1 - a) * (1 - b)), (i + 1, j, a * (1 - b)), (i, j + 1, (1 - a) * b), (i + 1, j + 1, a * b)]
-    return sum(w * value[face, r, c] for r, c, w in corners), np.min(
-        [weight[face, r, c] for r, c, _ in corners], axis=0
-    )
+    shown = np.sum([w * value[face, r, c] for r, c, w in corners], axis=0)
+    return shown, np.min([weight[face, r, c] for r, c, _ in corners], axis=0)
 
 
 def change_by_turn(value, weight, d, R, step=1e-6):
@@ -57,6 +57,7 @@ def align(contrast, d, picture, R, noise, place, pixel):
 
     _, _, J, variance = model(R)
     chosen = np.isfinite(variance) & (pixel**2 * np.sum(J * J, axis=1) > noise**2)
+    scale, correlation, w = 0.0, 0.0, variance
     for _ in range(30):
         z, shown, J, variance = (part[chosen] for part in model(R))
         size = np.sort(np.abs(z) / np.sqrt(variance))
@@ -82,8 +83,8 @@ def correlate(contrast, d, picture, R):
     return q @ m / np.sqrt((q @ q) * (m @ m)) if 2 * known.sum() > len(d) else 0.0
 
 
-def learn(view, seen, picture, R, most):
-    """Picture after a frame at an attitude, every cell on its own."""
+def learn(view, seen, contrast, picture, R, most):
+    """Picture after a frame at an attitude, with the contrast of its chart, every cell on its own."""
     value, weight = picture.value.astype(float).copy(), picture.weight.astype(float).copy()
     n, centre, radius = value.shape[1], view.rig.ball.centre, view.rig.ball.radius
     for face, row, column in np.ndindex(6, n, n):
@@ -96,11 +97,12 @@ def learn(view, seen, picture, R, most):
         right, down, height = view.chart.axes @ d
         from_middle = np.arccos(height) / view.chart.spacing * np.array([right, down]) / np.hypot(right, down)
         x, y = from_middle + 0.5 * (view.chart.size - 1)
-        i, j, q = int(y), int(x), seen.contrast.astype(float)
+        i, j, q = int(y), int(x), contrast.astype(float)
         if x < 0 or y < 0 or x >= q.shape[1] - 1 or y >= q.shape[0] - 1:
             continue
-        sample = int(y / view.step + 0.5), int(x / view.step + 0.5)
-        if np.any(np.array(sample) >= seen.counts.shape) or seen.counts[sample] <= STATIC_ODDS:
+        at = int(y / view.step + 0.5), int(x / view.step + 0.5)
+        sample = view.number[at] if np.all(np.array(at) < view.number.shape) else -1
+        if sample < 0 or seen.counts[sample] <= STATIC_ODDS:
             continue
         a, b = y - i, x - j
         now = (1 - a) * ((1 - b) * q[i, j] + b * q[i, j + 1]) + a * ((1 - b) * q[i + 1, j] + b * q[i + 1, j + 1])
@@ -113,8 +115,8 @@ def learn(view, seen, picture, R, most):
 
 def weigh(contrast, d, picture, R, before, noise, settle):
     """Mean contrast, log odds and offset of samples, (k,), after a frame at an attitude; `before` has those before."""
-    mean, odds, offset = before
-    shown, known = look(*picture, d @ R)
+    (mean, odds, offset), (value, weight) = before, picture
+    shown, known = look(value, weight, d @ R)
     contrast = contrast - offset
     apart, stays, turns = mean - shown, contrast - mean, contrast - shown
     nats = np.clip(0.5 * (stays**2 - turns**2) / noise**2, -3.0, 3.0)
@@ -143,6 +145,34 @@ def enlarged(far, ratio):
         at = (np.arange(n * ratio) + 0.5) / ratio - 0.5
         far = np.array([np.interp(at, np.arange(n), column) for column in far.T])
     return far
+
+
+def contrast(light, inside, far, reach):
+    """Contrast of a chart: light less the mean of means over squares, over the light far around."""
+    width, rows, columns = 2 * reach + 1, *light.shape
+    padded, mean = np.pad(light.astype(float), 2 * reach), 0.0
+    for i, j in np.ndindex(2 * width - 1, 2 * width - 1):
+        share = (width - abs(i - 2 * reach)) * (width - abs(j - 2 * reach)) / width**4
+        mean = mean + share * padded[i : i + rows, j : j + columns]
+    return np.where(inside == 255, (light - mean) / enlarged(far, len(light) // len(far)), 0.0)
+
+
+def anchor_points(view, alignment, facing, errors):
+    """Places, covariances and numbers of the anchors that a frame shows, by differences."""
+    loose, prior, shared = errors
+    b = view.anchors @ alignment.attitude.T
+    E = tangent_basis(b)
+    H = E.transpose(0, 2, 1) @ alignment.information @ E
+    which = np.flatnonzero((b @ facing[0] > facing[1]) & (np.linalg.eigvalsh(H)[:, 1] > loose**-2))
+    b, E = b[which], E[which]
+    C = np.linalg.inv(H[which] + prior**-2 * np.eye(2))
+    own = E @ C @ E.transpose(0, 2, 1) @ alignment.gradient[which][:, :, None]
+    b = np.einsum("kij,kj->ki", exp(own[:, :, 0]), b)
+    steps = 1e-5 * np.cross(E.transpose(0, 2, 1), b[:, None])
+    uv = seen_at(np.stack([b[:, None] - steps, b[:, None] + steps]).reshape(-1, 3), view.rig, view.pose)
+    J = np.diff(uv.reshape(2, len(b), 2, 2), axis=0)[0].transpose(0, 2, 1) / 2e-5
+    covariance = J @ (C + shared**2 * np.eye(2)) @ J.transpose(0, 2, 1)
+    return seen_at(b, view.rig, view.pose), covariance, which
 
 
 def leave_out_doubtful(contrast, first, own, odds, change, detail):

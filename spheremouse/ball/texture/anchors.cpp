@@ -1,0 +1,79 @@
+// Anchors of the picture as points of an image.
+#include "spheremouse/ball/ball_view.h"
+#include "spheremouse/geometry/rotation.h"
+
+namespace spheremouse::ball {
+namespace {
+
+/// The errors of an anchor's place, rad.
+struct AnchorErrors {
+    double loose;   // standard deviation above which the pixels around an anchor do not determine its place
+    double prior;   // of its place relative to the whole alignment
+    double shared;  // of the picture: its pixels have them in common
+};
+
+/// Return two orthonormal columns perpendicular to a unit vector, as `rotation.py` has them (Duff et al. 2017).
+Matrix<3, 2> tangent_basis(const Vector<3>& u) {
+    const double sign = std::copysign(1.0, u(2)), a = -1.0 / (sign + u(2)), b = u(0) * u(1) * a;
+    Matrix<3, 2> E;
+    E << 1.0 + sign * u(0) * u(0) * a, b, sign * b, sign + u(1) * u(1) * a, -sign * u(0), -u(1);
+    return E;
+}
+
+double largest_eigenvalue(const Matrix<2>& H) {
+    return 0.5 * (H.trace() + std::hypot(H(0, 0) - H(1, 1), 2.0 * H(0, 1)));
+}
+
+/// Return the anchors in view whose surroundings a frame shows: their pixels, covariances and numbers.
+///
+/// The pixels around an anchor give a rotation of their own about the two axes across it, relative to the alignment of
+/// the whole. `facing` has the direction of the camera, and the least cosine with it.
+nb::tuple anchor_points(nb::handle anchors_, nb::handle R_, nb::handle information_, nb::handle gradient_,
+                        nb::tuple errors_, nb::tuple facing, nb::handle view_) {
+    const auto anchors = array<const double, -1, 3>(anchors_, "anchors"),
+               gradient = array<const double, -1, 3>(gradient_, "gradient");
+    const auto information = array<const double, -1, 3, 3>(information_, "information");
+    const size_t n = anchors.shape(0);
+    if (gradient.shape(0) != n || information.shape(0) != n)
+        throw nb::type_error("information, gradient: must have one element for each anchor");
+    const Matrix<3> R = matrix<3, 3>(R_, "R");
+    members(errors_, 3, "errors");
+    members(facing, 2, "facing");
+    const AnchorErrors errors{number<double>(errors_[0], "errors"), number<double>(errors_[1], "errors"),
+                              number<double>(errors_[2], "errors")};
+    const Vector<3> towards = vector<3>(facing[0], "facing");
+    const double horizon = number<double>(facing[1], "facing");
+    const BallView view = read_ball_view(view_);
+    std::vector<size_t> which;
+    std::vector<Vector<2>> places;
+    std::vector<Matrix<2>> covariances;
+    for (size_t k = 0; k < n; k++) {
+        const Vector<3> b = R * View<3, 1>(&anchors(k, 0));
+        if (!(b.dot(towards) > horizon)) continue;
+        const Matrix<3, 2> E = tangent_basis(b);
+        const Matrix<2> H = E.transpose() * View<3, 3>(information.data() + 9 * k) * E;
+        if (!(largest_eigenvalue(H) > 1.0 / (errors.loose * errors.loose))) continue;
+        const Matrix<2> one = Matrix<2>::Identity(), C = (H + one / (errors.prior * errors.prior)).inverse();
+        const Vector<3> at = exp(E * C * E.transpose() * View<3, 1>(&gradient(k, 0))) * b;
+        const Matrix<3> to_cam = view.rotation.transpose();
+        const Mapped<3> seen = project(view.camera, to_cam * (view.centre - view.position + view.radius * at));
+        const Matrix<2> J = -view.radius * seen.J * to_cam * hat(at) * E;
+        const Matrix<2> covariance = J * (C + errors.shared * errors.shared * one) * J.transpose();
+        which.push_back(k);
+        places.push_back(seen.place);
+        covariances.push_back(0.5 * (covariance + covariance.transpose()));
+    }
+    const Rows<2> place(which.size());
+    const Rows<2, 2> covariance(which.size());
+    for (size_t i = 0; i < which.size(); i++) place[i] = places[i], covariance[i] = covariances[i];
+    return nb::make_tuple(place.array, covariance.array, to_numpy(which));
+}
+
+}  // namespace
+
+void bind_anchors(nb::module_& m) {
+    m.def("anchor_points", &anchor_points, arg("anchors"), arg("R"), arg("information"), arg("gradient"), arg("errors"),
+          arg("facing"), arg("view"));
+}
+
+}  // namespace spheremouse::ball
