@@ -110,6 +110,9 @@ class CentreCheck(NamedTuple):
     """Check of the ball's centre by its discs."""
 
     evidence: float = 0.0  # running mean of the squared deviations by which it is off the filter's estimate
+    odds: float = 0.0  # nats, running sum: for a rig with a wrong length, against one that is right
+    odds_static: float = 0.0  # the same against a centre that moves
+    wrong_rig: bool = False  # it was off from the start, since a length in the rig is wrong
     moved: bool = False  # it has been off, and an event has said so
     turned: float = 0.0  # rad the ball has turned about it, since it last moved far
     home: Array = np.zeros(3)  # (3,) m, obj, where it is usually

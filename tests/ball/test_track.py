@@ -481,17 +481,16 @@ def test_a_good_bearing_costs_nothing():
 
 @pytest.mark.parametrize("error", [-0.008, 0.008])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_wrong_radius_whose_uncertainty_is_known_does_less_harm(error, seed):
-    """1.3 % too large or small: the centre is then at another distance."""
+def test_a_wrong_radius_is_found(error, seed):
+    """1.3 % too large or small: the centre is then at another distance. The discs show it, stated or not."""
     wrong = replace(RIG, ball=replace(RIG.ball, radius=RIG.ball.radius + error))
     told = replace(wrong, ball=replace(wrong.ball, covariance=np.diag([0.0, 0.0, 0.0, 0.006**2])))
-    runs = [played(rig, POSE, 5.0, rng=np.random.default_rng(seed))[0] for rig in (wrong, told)]
-    assert all(s.status is Status.TRACKING for states in runs for s in states)
-    untold, stated = (np.degrees(np.sqrt(np.mean(errors_of(states) ** 2))) for states in runs)
-    assert stated < max(untold, 0.1)
-    assert untold < 0.8
     distance = (POSE.position @ POSE.position) ** 0.5
-    assert_allclose(runs[1][-1].filter.centre, [0.0, 0.0, -error / 0.6 * distance], atol=2e-3)
+    for rig in (wrong, told):
+        states, _ = played(rig, POSE, 5.0, rng=np.random.default_rng(seed))
+        assert all(s.status is Status.TRACKING for s in states)
+        assert np.degrees(np.sqrt(np.mean(errors_of(states) ** 2))) < 0.2
+        assert_allclose(states[-1].filter.centre, [0.0, 0.0, -error / 0.6 * distance], atol=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(4))

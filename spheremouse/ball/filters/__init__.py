@@ -68,6 +68,11 @@ class FilterState(Protocol):
         ...
 
     @property
+    def centre_noise(self) -> float:
+        """m²/s per axis, by which `centre` moves at random; 0 in a good bearing."""
+        ...
+
+    @property
     def statistics(self) -> Mapping[str, float]:
         """Statistics of the last update that only this filter has."""
         ...

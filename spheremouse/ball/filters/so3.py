@@ -35,11 +35,13 @@ from spheremouse.ball.filters.so3_state import (
     drop,
     inject,
     move_centres,
+    omitted_variance,
     promote,
     with_candidates,
+    with_wrong_centre,
     without_candidates,
 )
-from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.points import Measurement, SpherePoints
 from spheremouse.geometry.matching import assign, suppress
 from spheremouse.geometry.rotation import Array, hat
 from spheremouse.geometry.statistics import poisson_tail
@@ -52,7 +54,9 @@ _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarit
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
-_KNOWN_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
+_CALIBRATED_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
+_FOUND_CENTRE = 0.0005  # the same of one that the discs show: the discs themselves are placed no better
+_EXACT_CENTRE = 1e-5  # of an exact rig: too little to cost anything, and yet the filter learns what depends on it
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -110,6 +114,8 @@ class So3Filter:
         """Return the covariance, (7, 7), of centre (m), axes (rad) and readout (s), before a frame shows anything."""
         A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
         covariance[:6, :6], covariance[6, 6] = A @ self.considered @ A.T, self.readout_sigma**2
+        if not covariance[:3, :3].any():
+            covariance[:3, :3] = (_EXACT_CENTRE * self.radius) ** 2 * np.eye(3)
         return covariance
 
     def shared_covariance(self, other: "So3Filter") -> Array:
@@ -134,7 +140,8 @@ class So3Filter:
         )
         if state.centre_noise > 0.0:
             move_centres(joint, min(dt, WANDER_S) * state.centre_noise * np.eye(3), len(state.others))
-        known = float(np.trace(joint[CENTRE, CENTRE])) < (_KNOWN_CENTRE * self.radius) ** 2
+        known = _FOUND_CENTRE if state.centre.any() else _CALIBRATED_CENTRE
+        placed = float(np.trace(joint[CENTRE, CENTRE])) < (known * self.radius) ** 2
 
         def carried(hidden: Array) -> Array:
             return kernels.carry_hidden(attitude, rate, state.discs, hidden, dt, self.disc_angle)
@@ -156,25 +163,35 @@ class So3Filter:
             readout=state.readout,
             centre=state.centre,
             centre_noise=state.centre_noise,
-            holds_centre=bool(known and state.centre_noise == 0.0),
+            holds_centre=bool(placed and state.centre_noise == 0.0),
             interval=interval,
             modes=modes,
             candidates=state.candidates,
             others=tuple(other._replace(hidden=carried(other.hidden)) for other in state.others),
         )
 
-    def let_centre_move(self, state: So3State, proven: bool) -> So3State:
-        """Return the state with a ball whose centre has left its place and moves on.
-
-        If the discs have not proven that place yet, the rig may be wrong. An error of its radius or focal length shifts
-        the centre along the line of sight.
-        """
+    def let_centre_move(self, state: So3State) -> So3State:
+        """Return the state with a ball whose centre has left its place and moves on."""
         noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
         move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
-        if not proven:
-            along = _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
-            joint[CENTRE, CENTRE] += np.outer(along, along)
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_centre=False)
+
+    def with_wrong_rig(self, state: So3State) -> So3State:
+        """Return the state with a rig whose radius or focal length is as far off as a tape measure.
+
+        Such an error shifts the centre along the line of sight.
+        """
+        along = self._along_by_tape()
+        return replace(with_wrong_centre(state, np.outer(along, along)), holds_centre=False)
+
+    def is_beyond_a_tape(self, state: So3State) -> bool:
+        """Return whether the centre is farther off than by three standard deviations of a length by tape."""
+        along = self._along_by_tape()
+        return bool(state.centre @ state.centre > 9.0 * along @ along)
+
+    def _along_by_tape(self) -> Array:
+        """Return the shift of the centre, (3,) m, by a standard deviation of a length by tape."""
+        return _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
@@ -275,7 +292,7 @@ class So3Filter:
         a small correction.
         """
         camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
-        measurement = points.measurement(self.radius)
+        measurement = self._measurement(state, points)
         updated = kernels.update_ordinary(state.body, measurement, camera, state.sightings, state.pending, activity)
         if updated is None:
             return None
@@ -300,7 +317,7 @@ class So3Filter:
         """Return the pairs of least total distance, at the most likely level at which most points pair."""
         camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
         return Pairing(
-            *kernels.nearest_pairs(state.body, points.measurement(self.radius), camera, state.pending, activity)
+            *kernels.nearest_pairs(state.body, self._measurement(state, points), camera, state.pending, activity)
         )
 
     def _correct_and_pair_again(
@@ -338,7 +355,17 @@ class So3Filter:
         which = np.flatnonzero(cosine > self.horizon - np.minimum(slack, 0.5))
         added = self._added_noise(state, max(squared_levels(self.settings.levels)) if widest else 1.0)
         allowance = _omitted_variance(state, added)
-        return kernels.distances(state.body, points.measurement(self.radius), which, added, allowance, gate), which
+        return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
+
+    def _measurement(self, state: So3State, points: SpherePoints) -> Measurement:
+        """Return the points as `kernels` takes them, with noise for the omitted terms of an uncertain centre."""
+        measurement = points.measurement(self.radius)
+        if state.holds_centre or state.centre_noise > 0.0:
+            return measurement
+        by_centre = (points.dposition_dball[:, :, :3] - np.eye(3)) / self.radius
+        variance = omitted_variance(by_centre @ state.joint[CENTRE, CENTRE] @ by_centre.transpose(0, 2, 1))
+        added = self.radius**2 * variance[:, None, None] * np.eye(3)
+        return measurement._replace(noise=measurement.noise + added)
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
@@ -362,7 +389,7 @@ class So3Filter:
         rows, columns = pairing.rows, pairing.columns
         pairs = rows, columns, self._added_noise(state, pairing.noise_scale)
         (motion, joint, weights, figures, modes), log_likelihood = kernels.correct(
-            state.body, points.measurement(self.radius), pairs, state.pending, activity_of(self.settings)
+            state.body, self._measurement(state, points), pairs, state.pending, activity_of(self.settings)
         )
         Q, sightings = _NO_NOISE, state.sightings
         at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_centre
@@ -439,7 +466,7 @@ class So3Filter:
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]
     ) -> Array:
         """Return squared Mahalanobis distances, (k, c), of the points `rows` to the candidates `which`."""
-        measurement = points.take(rows).measurement(self.radius)
+        measurement = self._measurement(state, points.take(rows))
         columns, allowance = len(state.discs) + which, _omitted_variance(state, _NO_NOISE)
         return kernels.distances(state.body, measurement, columns, _NO_NOISE, allowance, self.settings.gate)
 
@@ -495,11 +522,7 @@ def relocate(
     """
     state = without_candidates(state)  # their places depend on the attitude before
     joint = state.joint.copy()
-    first = state.map_row
-    considered = joint[KINEMATIC_DIM:first, KINEMATIC_DIM:first].copy()
-    joint[:first] = 0.0
-    joint[:, :first] = 0.0
-    joint[KINEMATIC_DIM:first, KINEMATIC_DIM:first] = considered
+    joint[:KINEMATIC_DIM] = joint[:, :KINEMATIC_DIM] = 0.0
     joint[:3, :3] = sigma**2 * np.eye(3)
     spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
     joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)

@@ -189,17 +189,15 @@ class So3State:
     def with_reference_of(self, other: "So3State") -> "So3State":
         """Return the state with the error of the reference of `other`, which is independent of this state's errors.
 
-        It has the other cameras of that state. If the ball's centre moves in that state (`centre_noise` > 0), it moves
-        in this one, from that place on.
+        It has the other cameras of that state, and the ball's centre is where that state has it. There it is as
+        uncertain as in this state, and moves as in that one.
         """
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
-        if other.centre_noise == 0.0:
-            return replace(self, joint=joint).with_cameras_of(other)
-        joint[CENTRE, CENTRE] = other.joint[CENTRE, CENTRE] + other.centre_noise * WANDER_S * np.eye(3)
-        moving = replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
-        return moving.with_cameras_of(other)
+        joint[CENTRE, CENTRE] += other.centre_noise * WANDER_S * np.eye(3)
+        placed = replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
+        return placed.with_cameras_of(other)
 
     def with_cameras_of(self, other: "So3State") -> "So3State":
         """Return the state, of one camera, with the other cameras of `other`. Their errors keep their covariance."""
@@ -393,6 +391,9 @@ def with_candidates(
     G = np.concatenate([*by_motion, by_centre, -turning, by_others, by_readout], axis=2).reshape(-1, common)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
+    if state.centre_noise == 0.0:
+        shifted = by_centre @ P[CENTRE, CENTRE] @ by_centre.transpose(0, 2, 1)
+        noise += omitted_variance(shifted)[:, None, None] * np.eye(2)
     joint = np.zeros((n + 2 * k + CLONE_DIM, n + 2 * k + CLONE_DIM))
     old = np.r_[:n, n + 2 * k : len(joint)]
     joint[np.ix_(old, old)] = P
@@ -435,6 +436,27 @@ def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3Sta
         candidates=_NONE,
         others=tuple(other._replace(hidden=np.full(m, HIDDEN_SHARE)) for other in state.others),
     )
+
+
+def omitted_variance(covariance: Array) -> Array:
+    """Return the variances, (k,) rad², of places by omitted terms, from covariances to first order, (k, d, d) rad²."""
+    return np.minimum(np.trace(covariance, axis1=1, axis2=2), 0.25) ** 2
+
+
+def with_wrong_centre(state: So3State, covariance: Array) -> So3State:
+    """Return the state of a ball whose centre is off its calibrated place by a further `covariance`, (3, 3) m².
+
+    The conditional distribution of all other errors given that of the centre stays. So discs that were found about the
+    wrong centre have its error in common.
+    """
+    P, first = state.joint, state.map_row
+    S = np.linalg.lstsq(P[CENTRE, CENTRE], P[CENTRE])[0].T if P[CENTRE, CENTRE].any() else np.zeros((len(P), 3))
+    S[CENTRE] = np.eye(3)
+    joint = P + S @ covariance @ S.T
+    places = S[first : first + 2 * len(state.landmarks)].reshape(-1, 2, 3)
+    rows = np.arange(first, first + 2 * len(places))
+    joint[rows, rows] += np.repeat(omitted_variance(places @ covariance @ places.transpose(0, 2, 1)), 2)
+    return replace(state, joint=joint)
 
 
 def with_uncertain_turn(state: So3State, turn: Array) -> So3State:

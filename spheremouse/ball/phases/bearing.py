@@ -21,7 +21,7 @@ from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
 
-_DOUBT = 5e-3  # rad, of a disc that was found while the centre was thought to be in its place
+_DOUBT = 5e-3  # rad, of a disc that was found while the centre moved unseen
 _STEADY = 1e-3  # radii/sqrt(s), below which it no longer moves
 _NOISE_TIME_S = 0.4  # time constant of the estimate of that noise
 _OFF = 4.0  # mean squared deviations of a centre that is off; at most 3 are expected of one in its place
@@ -29,6 +29,8 @@ _OFF_TIME_S = 0.3  # time constant of that mean; hands and struts spoil a disc f
 _NO_EVIDENCE = 0.1  # of that mean
 _LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
 _MOST = 40.0  # squared deviations that a frame counts for in that mean
+_CERTAIN = 9.0  # nats: odds of 8000 to 1
+_MOST_NATS = 3.0  # that a frame counts for: a false pair is no proof
 _PROVEN = 0.5  # rad: a quarter of the visible side has changed, so a wrong place would have shown
 _PAIRS = 5  # discs that show a centre: with three any shift fits, with four nearly
 _FITS = 0.002  # radii, standard deviation of the shift that a frame of that proof has
@@ -44,16 +46,20 @@ def check_learning(
 
     If it moves, filter the kept frames again.
     """
-    if not isinstance(state.phase, Learning) or not state.phase.views:
+    views = state.phase.views if isinstance(state.phase, Learning) else ()
+    if not views or views[-1].camera != state.camera:
         return state, ()
-    if state.phase.views[-1].camera != state.camera:
-        return state, ()
-    check, _ = _checked(state, _interval(before, stamp), tracker)
-    if check.evidence <= _OFF:
+    dt, predicted = _interval(before, stamp), views[-1].filter
+    check, _ = _checked(state, dt, tracker)
+    check = _compared(check, state, dt, tracker, predicted)
+    if check.evidence <= _OFF and not _has_wrong_rig(check):
         return state._replace(centre=check), ()
-    moved = tracker.filter.let_centre_move(state.filter, proven=False)
-    state = filtered_again(state._replace(filter=moved), np.zeros((0, 2)), state.phase.views, tracker)
-    return state._replace(centre=CentreCheck(moved=True)), () if check.moved else (OutOfRound(),)
+    moved = state.filter
+    if check.evidence > _OFF:
+        moved = replace(tracker.filter.let_centre_move(moved), centre=np.zeros(3))
+    state = state._replace(filter=moved, centre=CentreCheck(moved=True, wrong_rig=True))
+    state = filtered_again(state, np.zeros((0, 2)), views, tracker)
+    return state, () if check.moved else (OutOfRound(),)
 
 
 def check_bearings(
@@ -72,13 +78,17 @@ def check_bearings(
     radius, events = tracker.rig.ball.radius, ()
     dt = _interval(before, stamp)
     check, shift = _checked(state, dt, tracker)
-    if check.evidence > _OFF:
+    check = _compared(check, state, dt, tracker, predicted)
+    refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
+    if check.evidence > _OFF or _has_wrong_rig(check) or refuted:
         events = () if check.moved else (OutOfRound(),)
-        predicted = tracker.filter.let_centre_move(predicted, check.turned >= _PROVEN)
-        if check.turned < _PROVEN:
-            predicted = _with_doubtful_map(predicted)
+        unproven, wrong_rig = check.turned < _PROVEN, not check.moved and check.odds_static > 0.0
+        if unproven and wrong_rig:
+            predicted = tracker.filter.with_wrong_rig(predicted)
+        else:
+            predicted = tracker.filter.let_centre_move(_with_doubtful_map(predicted) if unproven else predicted)
         state = follow(before, stamp, tracker, predicted)
-        check = check._replace(evidence=0.0, moved=True, turned=check.turned if check.turned >= _PROVEN else 0.0)
+        check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=0.0 if unproven else check.turned, home=check.home)
     elif predicted.centre_noise > 0.0 and state.confirmed:
         noise = _learnt_noise(predicted, state.filter, dt)
         noise = noise if noise > (_STEADY * radius) ** 2 else 0.0
@@ -127,6 +137,33 @@ def _checked(
     return check._replace(evidence=keep * check.evidence + (1.0 - keep) * squared), shift
 
 
+def _compared(
+    check: CentreCheck, state: TrackState[So3State], dt: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> CentreCheck:
+    """Return the check after a frame with the odds of a rig with a wrong length.
+
+    The odds are the ratio of the likelihoods of the frame's pairs (Kass, Raftery 1995). Two discs suffice.
+    """
+    f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _OFF_TIME_S)
+    check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
+    if check.turned >= _PROVEN or check.moved or used < 2 or f.nis <= _LARGE_NIS * used:
+        return check
+    stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
+    moving = stage.let_centre_move(predicted)
+    wrong, right, moves = (
+        stage.correct(each, state.points, pairing)[1] for each in (stage.with_wrong_rig(predicted), predicted, moving)
+    )
+    return check._replace(
+        odds=max(check.odds + min(wrong - right, _MOST_NATS), 0.0),
+        odds_static=check.odds_static + min(max(wrong - moves, -_MOST_NATS), _MOST_NATS),
+    )
+
+
+def _has_wrong_rig(check: CentreCheck) -> bool:
+    """Return whether a wrong length in the rig explains the frames better than a right rig or a moving centre."""
+    return check.odds > _CERTAIN and check.odds_static > 0.0
+
+
 def _is_doubtful(state: TrackState[So3State]) -> bool:
     """Return whether the last frame may show that the centre is off, or has to prove that it is not."""
     f, used = state.filter, len(state.filter.used)
@@ -154,7 +191,7 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
 
 
 def _with_doubtful_map(state: So3State) -> So3State:
-    """Return the state with discs as far off as the shift of the centre that was not known when they were found."""
+    """Return the state with discs as far off as the centre has moved unseen while they were found."""
     joint, discs = state.joint.copy(), np.arange(state.map_row, len(state.joint) - CLONE_DIM)
     joint[discs, discs] += _DOUBT**2
     return replace(state, joint=joint)

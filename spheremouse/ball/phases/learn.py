@@ -3,19 +3,22 @@
 Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without_effect
-from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, align, log, rotation_between
@@ -27,6 +30,8 @@ _REPLAY = 30  # frames kept until the ball moves, for filtering again without th
 _PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
 _FITS = 10.83  # chi-square with one degree of freedom, 99.9 %
 _BETTER = 30.0  # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
+_LINEAR = 0.005  # radii: a shift of the centre that places a disc at the limb to a tenth of a pixel, to first order
+_ROUNDS = 3  # each leaves a tenth of the error
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
 
@@ -68,8 +73,31 @@ def learn(
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = filtered_again(state, still, views, tracker) if len(still) else naive
+    state = _filtered_about_its_centre(state, still, views, tracker)
     state, events = found(state, phase, stamp)
     return state._replace(phase=Tracking()), (Turned(len(still)), *events)
+
+
+def _filtered_about_its_centre(
+    state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
+) -> TrackState[F]:
+    """Return the state after filtering all views again about the centre that they showed, if that was uncertain.
+
+    The first views placed discs about a centre that was far off. There the effect of a shift is not linear. So this is
+    the Gauss-Newton iteration of a smoother over the views (Bell 1994). It ends if the attitude changes by more than
+    such a shift can explain, because some views have been dropped.
+    """
+    radius, assumed = tracker.rig.ball.radius, views[0].points.centre
+    for _ in range(_ROUNDS):
+        shown = state.filter.centre
+        shift = float(np.linalg.norm(shown - assumed)) / radius
+        if shift < _LINEAR or state.filter.centre_noise > 0.0:
+            break
+        again = filtered_again(state, still, views, tracker)
+        if np.linalg.norm(rotation_between(state.filter.attitude, again.filter.attitude)) > shift:
+            break
+        state, assumed = again, shown
+    return state
 
 
 def filtered_again(
@@ -79,15 +107,26 @@ def filtered_again(
     stamp = views[-1].stamp
     state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
+    if state.centre.wrong_rig:
+        filtered = tracker.filter.with_wrong_rig(filtered)
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
-        state = state._replace(filter=filtered, points=view.points.take(free), detections=view.detections)
+        points = view.points.take(free)
+        if (filtered.centre != points.centre).any():
+            points = intersect_again(points, view.detections, tracker, filtered.centre)
+        state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
         confirmed_at = view.stamp if state.confirmed else state.confirmed_at
         state = state._replace(confirmed_at=confirmed_at, shown_at=view.stamp)
     return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)
+
+
+def intersect_again(points: SpherePoints, detections: Detections, tracker: Tracker, centre: Array) -> SpherePoints:
+    """Return points on a ball whose centre is off its calibrated place by `centre`, (3,) m."""
+    anew = intersect(detections.take(points.index), tracker.rig, tracker.pose, centre)
+    return replace(anew, index=points.index[anew.index])
 
 
 def update_all(

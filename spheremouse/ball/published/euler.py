@@ -76,6 +76,10 @@ class EulerState:
         return np.zeros(3)
 
     @property
+    def centre_noise(self) -> float:
+        return 0.0
+
+    @property
     def statistics(self) -> dict[str, float]:
         """Nothing: the publication has no test of the innovations."""
         return {}

@@ -105,6 +105,22 @@ def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
     return np.mean(squares, axis=0), used / possible
 
 
+def test_discs_found_about_a_wrong_centre_have_its_error_in_common():
+    """Given the centre, each disc is where its ray cuts a ball about it, though no frame has shown that yet."""
+    rig, pose, consider = station(0.0)
+    seen = detected(image_of(in_view(np.eye(3), 0.2), rig, pose), None, PIXEL)
+    state = consider.initial(0.0, np.eye(3))
+    for k in range(3):
+        state = consider.update(consider.predict(state, k * DT), intersect(seen, rig, pose))
+    P = consider.with_wrong_rig(state).joint
+    shift = 5e-4 * STATION / np.linalg.norm(STATION)
+    error = P[:, CENTRE] @ np.linalg.pinv(P[CENTRE, CENTRE]) @ shift
+    given = state.discs + np.einsum("mij,mj->mi", state.basis, error[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2))
+    about_it = intersect(seen, rig, pose, shift).direction
+    assert np.abs(about_it - state.discs).max() > 2e-4
+    assert_allclose(given, about_it, atol=2e-6)
+
+
 def test_errors_of_pose_and_ball_are_in_the_covariance():
     """60 drawn poses and balls, constant over a run: chi-square of attitude and rate, 95 % band of the runs' mean."""
     rig, pose, consider = station(0.5)
