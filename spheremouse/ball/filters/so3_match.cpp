@@ -86,14 +86,17 @@ double squared(const Vector<2>& z, const Matrix<2>& C) {
     return (C(1, 1) * z(0) * z(0) - 2.0 * C(0, 1) * z(0) * z(1) + C(0, 0) * z(1) * z(1)) / determinant;
 }
 
+/// Return the variance, rad², of the attitude, at most that of a wide spread.
+double spread(const View<>& P, const Noise& added) {
+    const double variance = (P.topLeftCorner<3, 3>().trace() + added.topLeftCorner<3, 3>().trace()) / 3.0;
+    return std::min(variance, WIDE_SPREAD * WIDE_SPREAD);
+}
+
 /// Return the variance, rad², of the terms that the linear model omits.
 ///
 /// A turn e moves p by e x p + e (e . p) / 2 + ... At the start, with the rate unknown, the omitted terms exceed the
 /// image noise many times. In tracking they are negligible.
-double curvature(const View<>& P, const Noise& added) {
-    const double spread = (P.topLeftCorner<3, 3>().trace() + added.topLeftCorner<3, 3>().trace()) / 3.0;
-    return std::pow(std::min(spread, WIDE_SPREAD * WIDE_SPREAD), 2);
-}
+double curvature(const View<>& P, const Noise& added) { return std::pow(spread(P, added), 2); }
 
 /// Add J P to C row by row, without the terms in which J or the variance of the error is zero: most are.
 ///
@@ -261,15 +264,17 @@ Dense distances(const Body& body, const Points& points, const Indices& which, co
 Innovation innovation(const Body& body, const Points& points, const Pairs& pairs, const Noise& added) {
     const Indices &rows = pairs.rows, &columns = pairs.columns;
     const int k = int(rows.size()), n = int(body.P.rows());
-    const double allowance = curvature(body.P, added);
+    const double turned = spread(body.P, added);
     Matrix<Dynamic, FIXED> J(2 * k, FIXED);
     Innovation r{Matrix<Dynamic, CORE>(2 * k, CORE), Dense(2 * k, n), Each(2 * k), Dense(2 * k, 2 * k)};
+    Each image(k);  // rad², traces of the noise
     for (int i = 0; i < k; i++) {
         const Place place(body, columns[i], points.delay(rows[i]));
         J.middleRows<2>(2 * i) = jacobian(body, points, rows[i], place);
         r.z.segment<2>(2 * i) = place.E.transpose() * points.direction.row(rows[i]).transpose();
         r.HP.middleRows<2>(2 * i) = body.P.middleRows<2>(body.map_row() + 2 * columns[i]);
         r.S.block<2, 2>(2 * i, 2 * i) = place.E.transpose() * points.noise(rows[i]) * place.E;
+        image(i) = r.S.block<2, 2>(2 * i, 2 * i).trace();
     }
     r.H = J.leftCols<CORE>();
     add_product(J.data(), body.P.data(), body.readout_row(), 2 * k, n, r.HP.data());
@@ -277,10 +282,16 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
     fixed << r.HP.leftCols<READOUT>(), r.HP.col(body.readout_row());
     for (int i = 0; i < 2 * k; i++)
         for (int j = 0; j <= i; j++) {
-            const double noise = i / 2 == j / 2 ? r.S(i, j) + (i == j ? allowance : 0.0) : 0.0;
+            const double noise = i / 2 == j / 2 ? r.S(i, j) : 0.0;
             r.S(i, j) = r.S(j, i) =
                 noise + r.HP(i, body.map_row() + 2 * columns[j / 2] + j % 2) + fixed.row(i).dot(J.row(j));
         }
+    // the part of a turn that a disc shares moves neither its place nor the omitted terms
+    for (int i = 0; i < 2 * k; i += 2) {
+        const auto H = r.H.middleRows<2>(i);
+        const double own = 0.5 * (r.S.block<2, 2>(i, i).trace() - image(i / 2) + (H * added * H.transpose()).trace());
+        r.S.block<2, 2>(i, i).diagonal().array() += turned * std::clamp(own, 0.0, turned);
+    }
     return r;
 }
 

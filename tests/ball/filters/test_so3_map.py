@@ -169,6 +169,7 @@ def test_a_candidate_measures_the_turn_since_its_first_sighting():
         aside = exp(0.3 * rng.normal(size=3)) @ np.cross(DISCS[0], rng.normal(size=3))
         other = (known[0] + 0.5 * aside / np.linalg.norm(aside))[None]
         both = np.concatenate([known, other / np.linalg.norm(other)])
+        before = state
         for k in range(3):
             points = points_at(both @ R.T, rng=rng)
             state, _ = FILTER.correct(state, points, Pairing(np.array([0]), np.array([0])))
@@ -266,3 +267,23 @@ def test_other_errors_of_axes_and_centre_are_independent_of_the_state():
     forget_common(joint)
     add_common(joint, other)
     assert_array_equal(joint, expected)
+
+
+def test_an_attitude_that_the_discs_share_weakens_no_sighting():
+    """Discs founded at an attitude that is off by an unknown turn: the next frames show the rate as exactly."""
+    outcomes, discs = [], DISCS[np.argsort(-DISCS[:, 2])[:3]]
+    for sigma in (1e-4, 0.15):
+        rng, start = np.random.default_rng(3), FILTER.initial(0.0, np.eye(3))
+        joint = start.joint.copy()
+        joint[:3, :3] = sigma**2 * np.eye(3)
+        points = points_at(discs, rng=rng)
+        state, total = augment(replace(start, joint=joint), points, np.arange(3), FILTER.radius), 0.0
+        for k in range(1, 9):
+            points = points_at(discs @ exp(SPIN * k * DT).T, rng=rng)
+            state = FILTER.predict(state, k * DT)
+            state, value = FILTER.correct(state, points, Pairing(np.arange(3), np.arange(3)))
+            total += value if k > 4 else 0.0  # before, the rate is unknown
+        outcomes.append((total, np.sqrt(np.trace(state.joint[3:6, 3:6])), *(state.rate - SPIN)))
+    assert_allclose(outcomes[1][0], outcomes[0][0], atol=1.0)
+    assert_allclose(outcomes[1][1], outcomes[0][1], rtol=0.1)
+    assert_allclose(outcomes[1][2:], outcomes[0][2:], atol=0.02)

@@ -12,14 +12,17 @@ from spheremouse.native import kernels
 from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, from_centre, linear, place, process
 
 
-def innovation(body, points, pairs, allowance):
-    """Twin of `kernels.innovation`."""
+def innovation(body, points, pairs, added):
+    """Twin of `kernels.innovation`: omitted terms grow with the turn, and with the part that a disc does not share."""
     z, H, noise = (np.array(a) for a in zip(*(linear(body, points, i, j) for i, j in pairs), strict=True))
     H = H.reshape(-1, H.shape[2])
-    S = H @ body[5] @ H.T + allowance * np.eye(len(H))
+    S, turning = H @ body[5] @ H.T, H[:, :KINEMATIC_DIM]
+    turned = min(np.trace(body[5][:3, :3] + added[:3, :3]) / 3.0, 0.01)
+    own = np.diag(S + turning @ added @ turning.T).reshape(-1, 2).mean(axis=1)
+    S = S + np.diag(np.repeat(turned * np.clip(own, 0.0, turned), 2))
     for k, N in enumerate(noise):
         S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += N
-    return H[:, :KINEMATIC_DIM], H @ body[5], z.ravel(), S
+    return turning, H @ body[5], z.ravel(), S
 
 
 def distances(body, points, which, added, allowance):
@@ -74,8 +77,7 @@ def test_the_innovations_of_pairs_are_their_linear_model(sigma):
     body, points = drawn(1, sigma)
     rows, columns = np.arange(len(points[0])), np.arange(len(points[0])) % len(body[3])
     added = process(sigma)
-    spread = np.trace(body[5][:3, :3] + added[:3, :3]) / 3.0
-    expected = innovation(body, points, list(zip(rows, columns, strict=True)), min(spread, 0.01) ** 2)
+    expected = innovation(body, points, list(zip(rows, columns, strict=True)), added)
     assert_innovations_agree(kernels.innovation(body, points, rows, columns, added), expected)
     assert [len(a) for a in kernels.innovation(body, points, rows[:0], columns[:0], added)] == [0, 0, 0, 0]
 
@@ -112,7 +114,7 @@ def test_the_pairs_have_the_least_total_distance_and_agree(sigma):
         worth = np.maximum(GATE - distance, 0.0)
         rows, at = linear_sum_assignment(worth, maximize=True)
         rows, at = rows[worth[rows, at] > 0.0], at[worth[rows, at] > 0.0]
-        H, _, z, S = innovation(body, points, list(zip(rows, which[at], strict=True)), allowance)
+        H, _, z, S = innovation(body, points, list(zip(rows, which[at], strict=True)), added)
         keep = consistent(z, S + H @ added @ H.T, 1.5 * GATE)
         got = nearest_pairs(body, points, added)
         assert_array_equal(got[0], rows[keep])
@@ -144,17 +146,17 @@ def test_the_pairs_are_those_of_the_most_likely_level():
                 continue
             added = (square - 1.0) * noise
             rows, columns, complete, scale = nearest_pairs(body, points, added)
-            spread = np.trace(body[5][:3, :3] + (added[:3, :3] if scale != 1.0 else 0.0)) / 3.0
             pairs = list(zip(rows, columns, strict=True))
             value = np.log(probability)
             if pairs:
-                H, _, z, S = innovation(body, points, pairs, min(spread, 0.01) ** 2)
+                H, _, z, S = innovation(body, points, pairs, added if scale != 1.0 else 0.0 * added)
                 value += multivariate_normal.logpdf(z, cov=S + H @ added @ H.T) + len(pairs) * np.log(4.0 / foreign)
             if value > most:
                 best, most = (rows, columns, complete, square if scale != 1.0 else 1.0), value
         pending = noise, 1.0 / 30.0, weights, None
         activity = GATE, 0.2, 1.0, levels, np.zeros(4), np.full(4, 0.25)
         got = kernels.nearest_pairs(body, points, (TOWARDS, HORIZON), pending, activity)
+        assert best is not None
         assert_array_equal(got[0], best[0])
         assert_array_equal(got[1], best[1])
         assert got[2:] == pytest.approx(best[2:])

@@ -1,5 +1,7 @@
 """Twins in NumPy of the default filter's linear model. `body` is So3State.body, `points` SpherePoints.measurement."""
 
+from typing import Any
+
 import numpy as np
 
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
@@ -8,7 +10,7 @@ from spheremouse.geometry.rotation import exp, hat, left_jacobian, log, tangent_
 GATE, HORIZON, TOWARDS = 13.8, 0.2, np.array([0.0, 0.0, 1.0])
 
 
-def drawn(seed, sigma=3e-3, m=12, foreign=3):
+def drawn(seed, sigma=3e-3, m=12, foreign=3) -> tuple[Any, Any]:
     """Draw a ball of m discs in motion, and points of most of them in a random order, with some that are no disc."""
     rng = np.random.default_rng(seed)
     n = MAP_OFFSET + 2 * m + CLONE_DIM
