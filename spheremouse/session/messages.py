@@ -73,6 +73,10 @@ _ABSENCES = {  # reason, with a as an Absence, and remedy
         "nothing has turned as the ball does",
         "turn it by 10° or more; a pattern that is fainter than the noise cannot be followed",
     ),
+    Cause.UNPATTERNED: (
+        "{plain} of it shows no pattern above the noise",
+        "paint or stick spots of many sizes all round it, give it more light, or use discs",
+    ),
     Cause.UNLIKE: ("the picture does not fit its pattern", "uncover the ball, and light it as before"),
 }
 
@@ -173,8 +177,9 @@ def absent(seen: int, seconds: float, absence: Absence, words: Words) -> str:
 def why_absent(absence: Absence) -> tuple[str, str]:
     """Return the reason why no disc or pattern is found on the ball, and the remedy."""
     spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
+    plain = f"{100.0 * absence.plain:.0f} %"
     problem, hint = _ABSENCES[absence.cause]
-    return problem.format(a=absence, spots=spots), hint
+    return problem.format(a=absence, spots=spots, plain=plain), hint
 
 
 def _in_colours(weights: tuple[float, float, float]) -> str:

@@ -51,6 +51,7 @@ class Cause(StrEnum):
     SHAPE = "shape"  # the darker or lighter regions are not discs
     PLAIN = "plain"  # the ball is of one brightness
     UNTURNED = "unturned"  # of a pattern: nothing has turned as the ball does
+    UNPATTERNED = "unpatterned"  # of a pattern: much of the ball shows none
     UNLIKE = "unlike"  # of a pattern: the picture does not fit it
 
 
@@ -64,6 +65,7 @@ class Absence:
     contrast: float = 0.0  # median of the spots
     size: float = 0.0  # px: diameter of the spots, or standard deviation of the blur
     disc: float = 0.0  # px, diameter of a disc of the rig
+    plain: float = 0.0  # part of the ball in view, 0 to 1, without a pattern above the noise
 
 
 @dataclass(frozen=True, slots=True)

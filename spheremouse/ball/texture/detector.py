@@ -1,13 +1,13 @@
 """The detector of a ball's pattern: the anchors of its picture are points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Detections, Image
-from spheremouse.ball.detect.diagnosis import Absence, why_no_pattern
+from spheremouse.ball.detect.diagnosis import Absence, Cause, why_no_pattern
 from spheremouse.ball.detect.support import grown, with_noise_lines
 from spheremouse.ball.detector import Words
 from spheremouse.ball.filters.so3 import So3Filter
@@ -15,8 +15,14 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.texture.method import detect_texture
-from spheremouse.ball.texture.picture import texture_pixel
+from spheremouse.ball.texture.method import TURNING, detect_texture
+from spheremouse.ball.texture.picture import (
+    contrast_noise,
+    contrast_of_samples,
+    grain_of,
+    plain_share,
+    texture_pixel,
+)
 from spheremouse.ball.texture.picture_map import PictureMap
 from spheremouse.ball.texture.search import TextureDetector, TextureState, texture_chart, texture_detector
 from spheremouse.geometry.camera import Pose
@@ -82,7 +88,14 @@ class Texture:
         return 0  # until the ball turns, they may be of what stands before it
 
     def why_absent(self, image: Image, rig: Rig, pose: Pose, settings: Settings, known: bool) -> Absence:
-        return why_no_pattern(image, rig, pose, known)
+        absence = why_no_pattern(image, rig, pose, known)
+        if absence.cause is not Cause.UNTURNED:
+            return absence
+        detector = self.prepare(rig, pose, settings)
+        shown, light = detector.light(image)
+        noise = contrast_noise(grain_of(detector.resampling, image), light)
+        plain = plain_share(detector.fine, contrast_of_samples(detector.fine, shown[0]), noise)
+        return replace(absence, cause=Cause.UNPATTERNED, plain=plain) if plain > 1.0 - TURNING else absence
 
     def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
         window = texture_chart(rig, pose)[1].window

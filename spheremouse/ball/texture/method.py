@@ -70,7 +70,7 @@ from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status
 
 _PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
-_TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
+TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
 _SEEN = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
@@ -162,7 +162,7 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     part = np.argmax(view.anchors.astype(np.float32) @ view.direction[:, counts], axis=0)
     number = np.bincount(part)
     total = np.bincount(part, nats[counts]) / DETAIL
-    return bool(np.count_nonzero(total > -STATIC_ODDS) > _TURNING * np.count_nonzero(number >= _SEEN))
+    return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _SEEN))
 
 
 def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:

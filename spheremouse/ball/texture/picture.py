@@ -297,6 +297,16 @@ def contrast_noise(grain: float, light: float) -> float:
     return float(np.hypot(_NOISE, grain / max(light, 1.0)))
 
 
+def plain_share(view: TextureView, contrast: Floats, noise: float) -> float:
+    """Return the part of the ball in view, 0 to 1, on which the contrast, (n,), is no more than `noise`.
+
+    It is that of the samples nearest to each anchor.
+    """
+    part = np.argmax(view.anchors.astype(np.float32) @ view.direction, axis=0)
+    number, squares = np.bincount(part), np.bincount(part, contrast * contrast)
+    return float(number[squares < number * noise**2].sum() / number.sum())
+
+
 def weigh(
     view: TextureView,
     seen: Seen,

@@ -77,6 +77,16 @@ def test_a_ball_that_rests_and_one_that_is_dark_state_why():
     assert "it is nearly black (3 of 255)" in reasons[-1]
 
 
+@pytest.mark.parametrize("pattern", ["none", "dirt"])
+def test_a_ball_with_too_little_pattern_states_so_within_two_seconds(pattern):
+    simulation = prepare(SimulationOptions(seconds=0.1, size=(320, 240), pattern=pattern, noise=4.0))
+    made = list(simulate(simulation))
+    adapter = BallAdapter((replace(simulation.scene.rig(), pose=made[0].pose),), Configuration(), None, lambda _: None)
+    for k in range(60):
+        adapter.follow(replace(made[k % len(made)].frame, stamp=k / 30.0, sequence=k))
+    assert re.fullmatch(r"the ball .*: \d+ % of it shows no pattern above the noise; paint or stick .*", adapter.reason)
+
+
 @pytest.mark.parametrize(("level", "known", "cause"), [(0, True, Cause.DARK), (255, False, Cause.BRIGHT)])
 def test_the_light_comes_before_the_pattern(level, known, cause):
     rig, pose, frames = film()
