@@ -135,7 +135,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     share = np.float32(1.0) / np.maximum(_box(shown.astype(np.float32), large), np.float32(1e-3))
     step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
     direction = chart.directions()
-    margin = small - 1 + step  # cells beside a sample have their whole neighbourhood on the ball
+    margin = small - 1  # a sample has its whole neighbourhood on the ball
     whole = cv2.erode(shown, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8), borderValue=0)
     samples = (chart.facing(direction) > kernels.FACING) & (whole != 0)
     at = np.zeros_like(samples)
