@@ -54,8 +54,7 @@ _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarit
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
-_CALIBRATED_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
-_FOUND_CENTRE = 0.0005  # the same of one that the discs show: the discs themselves are placed no better
+_KNOWN_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
 _EXACT_CENTRE = 1e-5  # of an exact rig: too little to cost anything, and yet the filter learns what depends on it
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
@@ -140,8 +139,7 @@ class So3Filter:
         )
         if state.centre_noise > 0.0:
             move_centres(joint, min(dt, WANDER_S) * state.centre_noise * np.eye(3), len(state.others))
-        known = _FOUND_CENTRE if state.centre.any() else _CALIBRATED_CENTRE
-        placed = float(np.trace(joint[CENTRE, CENTRE])) < (known * self.radius) ** 2
+        known = float(np.trace(joint[CENTRE, CENTRE])) < (_KNOWN_CENTRE * self.radius) ** 2
 
         def carried(hidden: Array) -> Array:
             return kernels.carry_hidden(attitude, rate, state.discs, hidden, dt, self.disc_angle)
@@ -163,7 +161,7 @@ class So3Filter:
             readout=state.readout,
             centre=state.centre,
             centre_noise=state.centre_noise,
-            holds_centre=bool(placed and state.centre_noise == 0.0),
+            holds_centre=bool(known and state.centre_noise == 0.0),
             interval=interval,
             modes=modes,
             candidates=state.candidates,

@@ -49,14 +49,10 @@ def check_learning(
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
         return state, ()
-    dt, predicted = _interval(before, stamp), views[-1].filter
-    check, _ = _checked(state, dt, tracker)
-    check = _compared(check, state, dt, tracker, predicted)
-    if check.evidence <= _OFF and not _has_wrong_rig(check):
+    check, _ = _checked(state, _interval(before, stamp), tracker)
+    if check.evidence <= _OFF:
         return state._replace(centre=check), ()
-    moved = state.filter
-    if check.evidence > _OFF:
-        moved = replace(tracker.filter.let_centre_move(moved), centre=np.zeros(3))
+    moved = tracker.filter.let_centre_move(state.filter)
     state = state._replace(filter=moved, centre=CentreCheck(moved=True, wrong_rig=True))
     state = filtered_again(state, np.zeros((0, 2)), views, tracker)
     return state, () if check.moved else (OutOfRound(),)
@@ -142,11 +138,13 @@ def _compared(
 ) -> CentreCheck:
     """Return the check after a frame with the odds of a rig with a wrong length.
 
-    The odds are the ratio of the likelihoods of the frame's pairs (Kass, Raftery 1995). Two discs suffice.
+    The odds are the ratio of the likelihoods of the frame's pairs (Kass, Raftery 1995). Two discs suffice. A ball at
+    rest shows no wrong length, since its discs keep their places.
     """
     f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _OFF_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
-    if check.turned >= _PROVEN or check.moved or used < 2 or f.nis <= _LARGE_NIS * used:
+    rests = float(f.rate @ f.rate) <= _RESTS**2
+    if check.turned >= _PROVEN or check.moved or rests or used < 2 or f.nis <= _LARGE_NIS * used:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
     moving = stage.let_centre_move(predicted)
