@@ -8,15 +8,17 @@ namespace {
 
 constexpr double NEGLIGIBLE = 1e-5;      // probability of a mode, or of a step as long as it is recent
 constexpr double RESOLVED = 1.0 / 30.0;  // s: a step of 1 rad/s² has moved a disc by twice the noise of its place
-constexpr double MINOR = 1e-3;           // share of a mode below which a hypothesis is left out
+constexpr double NEIGHBOUR = 1.0 / 3.0;  // of the steps tend to the level below, the same to the one above
+constexpr int KINDS = 3;        // of a step: the hand changes its push, lets go, or stops the ball; each as likely
+constexpr double MINOR = 1e-3;  // share of a mode below which a hypothesis is left out
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-/// One instant of a step: the information y, B on the new acceleration, and its levels' probabilities.
+/// One instant of a step: the information c, B on its size, and its levels' probabilities.
 struct Instant {
-    Vector<3> g;  // effect of a unit step on rotation, rate and acceleration
-    Matrix<3> B;  // B^-1 y is the estimate of the new acceleration, B its information
-    Vector<3> y;
-    Vector<Dynamic> p, square;  // (levels,) probability, normalised square of z less z' R^-1 z
+    Vector<3> g;                       // effect of a unit step on rotation, rate and acceleration
+    Matrix<3> B;                       // information on the size of the step
+    Vector<3> c;                       // B^-1 c is its estimate without a prior
+    Matrix<Dynamic, KINDS> p, square;  // (levels, kinds) probability, normalised square of z less z' R^-1 z
 };
 
 /// The posterior given one mode of the last frame.
@@ -27,10 +29,11 @@ struct Given {
     Matrix<6, 9> Cd;  // a step d moves the mean of x by -Cd d
     Matrix<9> A;      // information on d
     Vector<9> v;
-    Vector<3> acceleration;  // rad/s², before a step
-    double volume;           // factor of the likelihood by the determinant
-    double square;           // normalised square of z without a step, less z' R^-1 z
-    double none = 0.0;       // probability of no step
+    Vector<3> acceleration;    // rad/s², before a step
+    Matrix<Dynamic, 3> stops;  // (levels, 3) rad/s², mean of a new acceleration that stops the ball
+    double volume;             // factor of the likelihood by the determinant
+    double square;             // normalised square of z without a step, less z' R^-1 z
+    double none = 0.0;         // probability of no step
     std::array<Instant, INSTANTS> instants;
 
     /// Return the share of the mode that becomes mode k without a step.
@@ -42,8 +45,15 @@ struct Given {
     /// Return the probability of a step at the level k.
     double at_level(int k) const {
         double sum = 0.0;
-        for (const Instant& one : instants) sum += one.p(k);
+        for (const Instant& one : instants) sum += one.p.row(k).sum();
         return sum;
+    }
+
+    /// Return the mean of a step, rad/s², before the innovations are seen.
+    Vector<3> mean_step(int level, int kind) const {
+        if (kind == 0) return Vector<3>::Zero();
+        if (kind == 1) return -acceleration;
+        return stops.row(level).transpose() - acceleration;
     }
 };
 
@@ -76,35 +86,57 @@ Given condition(const Matrix<16>& gram, const Matrix<6>& root, const Vector<6>& 
     return r;
 }
 
-/// Weigh the levels of a step at one instant, and return the least square.
+/// Return the probability of each level for a new step, after that of the last one.
+///
+/// In the long run the levels are as likely as `usual` (Metropolis et al. 1953).
+Vector<Dynamic> after_step(const Vector<Dynamic>& at_level, const Vector<Dynamic>& usual) {
+    Vector<Dynamic> r = at_level;
+    for (int k = 0; k + 1 < r.size(); k++) {
+        const double up = NEIGHBOUR * std::min(1.0, usual(k + 1) / usual(k)) * at_level(k);
+        const double down = NEIGHBOUR * std::min(1.0, usual(k) / usual(k + 1)) * at_level(k + 1);
+        r(k) += down - up;
+        r(k + 1) += up - down;
+    }
+    return r;
+}
+
+/// Return the mean, rad/s², of an acceleration that stops a ball at `rate`, rad/s, until the next step.
+///
+/// It is at most as large as an acceleration of the level is on the average.
+Vector<3> stopping(const Vector<3>& rate, double variance, double between) {
+    return -std::min(1.0 / between, std::sqrt(3.0 * variance) / rate.norm()) * rate;
+}
+
+/// Weigh the levels and kinds of a step at one instant, and return the least square.
 ///
 /// With the matrix inversion lemma no matrix is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood
 /// ratio approach to the detection and estimation of jumps in linear systems").
 double weigh(Instant& step, const Given& given, const Vector<Dynamic>& priors, const Vector<Dynamic>& variances) {
     step.B.setZero();
-    Vector<3> c = Vector<3>::Zero();
+    step.c.setZero();
     for (int i = 0; i < 3; i++) {
-        c += step.g(i) * given.v.segment<3>(3 * i);
+        step.c += step.g(i) * given.v.segment<3>(3 * i);
         for (int k = 0; k < 3; k++) step.B += step.g(i) * step.g(k) * given.A.block<3, 3>(3 * i, 3 * k);
     }
-    step.y = c + step.B * given.acceleration;
-    const double constant = given.square + given.acceleration.dot(c + step.y);
-    step.p.setZero(priors.size());
-    step.square.setConstant(priors.size(), INFINITE);
+    step.p.setZero(priors.size(), KINDS);
+    step.square.setConstant(priors.size(), KINDS, INFINITE);
     for (int k = 0; k < priors.size(); k++) {
         if (!(priors(k) > 0.0)) continue;
         const Matrix<3> K = Matrix<3>::Identity() + variances(k) * step.B;
-        step.p(k) = priors(k) * given.volume / std::sqrt(K.determinant());
-        step.square(k) = constant - variances(k) * step.y.dot(K.inverse() * step.y);
+        const Matrix<3> C = variances(k) * K.inverse();
+        step.p.row(k).setConstant(priors(k) / KINDS * given.volume / std::sqrt(K.determinant()));
+        for (int kind = 0; kind < KINDS; kind++) {
+            const Vector<3> mean = given.mean_step(k, kind), y = step.c - step.B * mean;
+            step.square(k, kind) = given.square - mean.dot(step.c + y) - y.dot(C * y);
+        }
     }
     return step.square.size() ? step.square.minCoeff() : INFINITE;
 }
 
-/// Add the moments of a step at one instant and level, with its probability.
-void add(Moments& to, const Instant& step, int level, double variance, const Vector<3>& acceleration) {
-    const double p = step.p(level);
+/// Add p times the moments of a step at one instant. `mean` and `variance` are those before the innovations are seen.
+void add(Moments& to, double p, const Instant& step, const Vector<3>& mean, double variance) {
     const Matrix<3> C = variance * (Matrix<3>::Identity() + variance * step.B).inverse();
-    const Vector<3> size = C * step.y - acceleration;
+    const Vector<3> size = mean + C * (step.c - step.B * mean);
     const Matrix<3> square = C + size * size.transpose();
     to.probability += p;
     for (int i = 0; i < 3; i++) {
@@ -135,7 +167,7 @@ void drop_minor(std::vector<Given>& given, int levels) {
         const double least = std::max(MINOR * of_level, 1e-3 * NEGLIGIBLE * all);
         for (Given& one : given)
             for (Instant& step : one.instants)
-                if (step.p(k) < least) step.p(k) = 0.0;
+                step.p.row(k) = (step.p.row(k).array() < least).select(0.0, step.p.row(k));
     }
 }
 
@@ -159,7 +191,9 @@ void merge(const std::vector<Given>& given, const Effect& effect, const Vector<D
             Moments d;
             d.probability = one.none * one.becomes(k, fade);
             for (const Instant& step : one.instants)
-                if (k > 0 && step.p(k - 1) > 0.0) add(d, step, k - 1, variances(k - 1), one.acceleration);
+                for (int kind = 0; k > 0 && kind < KINDS; kind++)
+                    if (step.p(k - 1, kind) > 0.0)
+                        add(d, step.p(k - 1, kind), step, one.mean_step(k - 1, kind), variances(k - 1));
             if (d.probability == 0.0) continue;
             const Vector<6> moved = M * d.first;
             const Matrix<6> cross = base * moved.transpose();
@@ -224,7 +258,7 @@ nb::tuple modes_to_numpy(const Modes& modes) {
     return nb::make_tuple(means, covariances, to_numpy(modes.weights));
 }
 
-Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
+Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<6>& motion, const Steps& steps,
                     const Modes& modes) {
     const int levels = int(steps.variances.size()) - 1;
     const double quiet = std::exp(-steps.interval / steps.between), fade = std::min(1.0, steps.interval / RESOLVED);
@@ -239,11 +273,14 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3
         if (weights.sum() < NEGLIGIBLE) continue;
         Given one = condition(gram, effect.root, modes.means[j], modes.covariances[j]);
         one.mode = j;
-        one.acceleration = acceleration + modes.means[j].tail<3>();
+        const Vector<6> before = motion + modes.means[j];
+        one.acceleration = before.tail<3>();
+        one.stops.resize(levels, 3);
+        for (int k = 0; k < levels; k++) one.stops.row(k) = stopping(before.head<3>(), variances(k), steps.between);
         kept.push_back(quiet * weights);
         kept.back()(0) = weights(0);
         one.none = kept.back().sum() * one.volume;
-        const Vector<Dynamic> at_level = weights.tail(levels);
+        const Vector<Dynamic> at_level = after_step(weights.tail(levels), steps.usual.tail(levels));
         const Vector<Dynamic> priors = (recent * at_level.array() > NEGLIGIBLE).select(chance * at_level, 0.0);
         least = std::min(least, one.square);
         for (int s = 0; s < INSTANTS; s++) {
@@ -255,8 +292,7 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3
     }
     for (Given& one : given) {
         one.none *= std::exp(-0.5 * (one.square - least));
-        for (Instant& step : one.instants)
-            for (int k = 0; k < levels; k++) step.p(k) *= std::exp(-0.5 * (step.square(k) - least));
+        for (Instant& step : one.instants) step.p.array() *= (-0.5 * (step.square.array() - least)).exp();
     }
     drop_minor(given, levels);
     const double all = total(given, levels);
@@ -276,10 +312,11 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3
         for (Instant& step : one.instants) {
             step.p /= all;
             for (int k = 0; k < levels; k++) {
-                if (step.p(k) == 0.0) continue;
-                r.modes.weights(1 + k, 1 + k) += step.p(k);
-                mean_square += step.p(k) * variances(k) / steps.variances(0);
-                r.excess += step.p(k) * step.square(k);
+                const double p = step.p.row(k).sum();
+                r.modes.weights(1 + k, 1 + k) += p;
+                mean_square += p * variances(k) / steps.variances(0);
+                for (int kind = 0; kind < KINDS; kind++)
+                    if (step.p(k, kind) > 0.0) r.excess += step.p(k, kind) * step.square(k, kind);
             }
         }
     }

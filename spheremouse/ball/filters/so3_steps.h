@@ -1,8 +1,9 @@
 // Steps of the acceleration between frames, and their posterior from the innovations.
 //
 // A hand takes hold of the ball, pushes it, lets it go and stops it. The acceleration jumps at each of these events and
-// is nearly constant between them. The events are a Poisson process. Each event draws a new acceleration about zero,
-// independent of the last one (compound Poisson jumps). The second moments are those of Singer (1970).
+// is nearly constant between them. The events are a Poisson process (compound Poisson jumps). At each event the hand
+// changes its push, lets go or stops the ball. The new acceleration is then about the last one, about zero, or about
+// one that brings the ball to rest. Its level is that of the last step, or the level above or below it.
 //
 // The instant of a step between two frames, its level and its size are unknown. Each pair (instant, level) is a
 // hypothesis, and its likelihood is its weight. A step shows in the discs only after some time. So the hypotheses stay
@@ -44,6 +45,7 @@ struct Steps {
     double interval;            // s
     double between;             // s, mean time between two events
     Vector<Dynamic> variances;  // (rad/s²)² per axis of each level; the first is a ball left to roll, without steps
+    Vector<Dynamic> usual;      // probability of each level in the long run
 };
 
 /// The errors after the correction, of rate and acceleration, as a linear function of x and d.
@@ -66,8 +68,8 @@ struct Posterior {
 /// Return the posterior of the errors x of the predicted motion and of the effect d, (9,), of a step.
 ///
 /// A step adds d to rotation, rate and acceleration. `gram` is G' R^-1 G. The columns of G are those of x, d, and the
-/// innovations z, whose covariance is R if x and d are known. `acceleration`, rad/s², is the predicted one.
-Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<3>& acceleration, const Steps& steps,
+/// innovations z, whose covariance is R if x and d are known. `motion` is the predicted rate, rad/s, and acceleration.
+Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<6>& motion, const Steps& steps,
                     const Modes& modes);
 
 }  // namespace spheremouse::ball

@@ -88,11 +88,13 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     effect.shared = shared - rest.middleCols<6>(3).transpose() * rest.middleCols<6>(3);
     Modes modes = pending.modes;
     for (Matrix<6>& C : modes.covariances) C -= shared;
-    const Steps steps{pending.interval, activity.persistence, activity.variances};
+    const Steps steps{pending.interval, activity.persistence, activity.variances, activity.usual};
+    Vector<6> motion;
+    motion << body.rate, body.acceleration;
     Corrected r;
     Dense gram = Dense::Zero(16, 16);
     subtract_product(G, G, gram);
-    r.steps = posterior(-gram, effect, body.acceleration, steps, modes);
+    r.steps = posterior(-gram, effect, motion, steps, modes);
     const Vector<Dynamic> white = G.col(15);
     Vector<Dynamic> by(m);
     by << r.steps.mean.head<6>(), white - G.leftCols<15>() * r.steps.mean;

@@ -407,6 +407,33 @@ def test_the_rate_of_a_jerky_ball_is_as_certain_as_it_says():
     assert np.sqrt(np.mean(attitude)) < 5e-4
 
 
+def strokes(rng, seconds):
+    """Attitudes at 30 Hz: strokes of least jerk (Flash and Hogan 1985) by up to 70°, which run into each other."""
+    fine, start = np.arange(0.0, seconds, DT / 20.0), 1.0
+    rate = np.zeros((len(fine), 3))
+    while start < seconds:
+        length, axis = rng.uniform(0.25, 0.7), rng.normal(size=3)
+        x = np.clip((fine - start) / length, 0.0, 1.0)
+        speed = rng.uniform(0.1, 1.2) / length * 30.0 * x**2 * (1.0 - x) ** 2
+        rate += speed[:, None] * axis / np.linalg.norm(axis)
+        start += length * rng.uniform(0.6, 1.0) + max(rng.uniform(-0.3, 0.4), 0.0)
+    R, attitudes = np.eye(3), []
+    for k in range(len(fine)):
+        if k % 20 == 0:
+            attitudes.append(R)
+        R = exp(rate[k] * DT / 20.0) @ R
+    return np.array(attitudes)
+
+
+def test_strokes_that_run_into_each_other_do_not_lose_the_ball():
+    """One stroke may be ten times as strong as the last one. The discs are 0.3 rad apart."""
+    for seed in range(20):
+        rng = np.random.default_rng([36, seed])
+        R = strokes(rng, 6.0)
+        states = film(FILTER, R, np.arange(len(R)) * DT, rng)
+        assert max(error_of(s, r) for s, r in zip(states, R, strict=True)) < 0.01
+
+
 def test_the_modes_have_the_mean_and_covariance_of_the_state():
     """After updates and predictions, with a disc more and a new reference."""
     rng = np.random.default_rng(8)
@@ -512,7 +539,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     state = replace(state, acceleration=np.zeros(3), modes=None)
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
-    assert_allclose(blind.attitude, predicted.attitude)
+    assert_allclose(blind.attitude, predicted.attitude, atol=1e-5)  # a hand may stop the ball
     assert_allclose(blind.joint[KINEMATIC_DIM:, KINEMATIC_DIM:], predicted.joint[KINEMATIC_DIM:, KINEMATIC_DIM:])
     assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
     predicted = OWN.predict(replace(state, weights=np.ones(1), modes=None), state.stamp + DT)

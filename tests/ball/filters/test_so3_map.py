@@ -124,7 +124,7 @@ def test_an_error_that_attitude_and_discs_share_is_never_measured(axes):
         state = replace(state, joint=joint)
         for k in range(26):
             interval = (0.2 if k % 5 == 0 else DT) if k else 0.0
-            rate = rate + rng.normal(size=3) if k % 5 == 0 else rate
+            rate = rate + 0.7 * rng.normal(size=3) if k % 5 == 0 else rate
             R = exp(interval * rate) @ R
             which = np.flatnonzero((DISCS @ R.T)[:, 2] > FILTER.horizon + 0.1)
             points = points_at(DISCS[which] @ R.T, rng=rng)

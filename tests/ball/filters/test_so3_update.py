@@ -1,5 +1,7 @@
 """The correction with a step of unknown instant and level, against the update of each hypothesis on its own."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -17,6 +19,7 @@ BETWEEN = 0.2
 RESOLVED = 1.0 / 30.0  # s
 INSTANTS = (np.arange(6) + 0.5) / 6
 VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
+USUAL = np.array([0.8, 0.15, 0.05])
 N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
 APART, HELD = slice(KINEMATIC_DIM, MAP_OFFSET), slice(AXES, MAP_OFFSET)
 SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 6, 1, 8, 3])
@@ -69,7 +72,7 @@ def showing(body, points, z):
 
 
 def activity(variances):
-    return 13.8, BETWEEN, 1.0, variances, np.zeros(len(variances)), np.full(len(variances), 1.0 / len(variances))
+    return 13.8, BETWEEN, 1.0, variances, np.zeros(len(variances)), np.resize(USUAL, len(variances))
 
 
 def corrected(body, points, dt, modes):
@@ -87,25 +90,42 @@ def corrected(body, points, dt, modes):
     return P, at_level, level, modes, log_likelihood, dx
 
 
-def each_on_its_own(means, covariances, weights, H, R, z, acceleration, held, dt):
+def stepped(at_level):
+    """Return the probabilities of the levels after a step: the first makes none, the others keep `USUAL`."""
+    usual, n = USUAL[1:], len(at_level) - 1
+    move = np.array([[abs(i - j) == 1 and min(1.0, usual[j] / usual[i]) / 3.0 for j in range(n)] for i in range(n)])
+    move = move + np.diag(1.0 - move.sum(axis=1))
+    assert_allclose(usual @ move, usual)
+    return np.concatenate([[0.0], at_level[1:] @ move])
+
+
+def each_on_its_own(means, covariances, weights, H, R, z, motion, held, dt):
     """Return for each hypothesis its new mode, its level, whether it is a step, its probability, and its moments."""
-    quiet, fades = np.exp(-dt / BETWEEN), min(1.0, dt / RESOLVED)
+    (rate, acceleration), quiet, fades = motion, np.exp(-dt / BETWEEN), min(1.0, dt / RESOLVED)
     recent = (1.0 - np.exp(-max(dt, RESOLVED) / BETWEEN)) / len(INSTANTS)
     for mode, (mean, P, at_level) in enumerate(zip(means, covariances, weights, strict=True)):
         for level, weight in enumerate(at_level):
             for after, share in ((0, fades if mode else 1.0), (mode, 1.0 - fades)) if mode else ((0, 1.0),):
                 yield after, level, False, *schmidt(share * weight * (quiet if level else 1.0), mean, P, H, R, z, held)
-            for before in INSTANTS if level and recent * weight > 1e-5 else ():
-                t = before * dt
+        for level, weight in enumerate(stepped(at_level)):
+            turning, before = rate + mean[3:6], acceleration + mean[6:9]
+            stopping = -turning * min(1.0 / BETWEEN, np.sqrt(3.0 * VARIANCES[level]) / np.linalg.norm(turning))
+            for instant, step in product(
+                INSTANTS, (np.zeros(3), -before, stopping - before) if recent * weight > 1e-5 else ()
+            ):
+                t = instant * dt
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
-                moved = mean - effect @ (acceleration + mean[6:9])
-                share = (1.0 - quiet) / len(INSTANTS) * weight
                 yield (
                     level,
                     level,
                     True,
-                    *schmidt(share, moved, P + VARIANCES[level] * effect @ effect.T, H, R, z, held),
+                    *schmidt(
+                        (1.0 - quiet) / len(INSTANTS) / 3.0 * weight,
+                        mean + effect @ step,
+                        P + VARIANCES[level] * effect @ effect.T,
+                        *(H, R, z, held),
+                    ),
                 )
 
 
@@ -137,7 +157,7 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds, 
         new, levels, steps, p, after, spreads = map(
             np.array,
             zip(
-                *each_on_its_own(means, covariances, weights, H, R, z, body[2], APART if holds else HELD, dt),
+                *each_on_its_own(means, covariances, weights, H, R, z, body[1:3], APART if holds else HELD, dt),
                 strict=True,
             ),
         )
@@ -181,6 +201,7 @@ def test_a_wrong_pose_leaves_the_covariance_positive_in_a_long_jerky_play():
     F[:3, 6:9] = 0.5 * DT * DT * np.eye(3)
     for _ in range(200):
         z = np.linalg.cholesky(H @ P @ H.T + R) @ rng.normal(size=8) * rng.choice([1.0, 10.0])
+        z *= min(1.0, 0.3 / np.abs(z).max())  # a pair is in view
         P, _, _, modes, *_ = corrected((*body[:5], P, *body[6:]), showing(body, points, z), DT, modes)
         P = F @ P @ F.T
         modes = modes[0] @ F[3:9, 3:9].T, F[3:9, 3:9] @ modes[1] @ F[3:9, 3:9].T, modes[2]
