@@ -78,11 +78,13 @@ def check_bearings(
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
     if check.evidence > _OFF or _has_wrong_rig(check) or refuted:
         events = () if check.moved else (OutOfRound(),)
-        unproven, wrong_rig = check.turned < _PROVEN, not check.moved and check.odds_static > 0.0
-        if unproven and wrong_rig:
+        unproven, likelier = check.turned < _PROVEN, check.odds_static > 0.0 and len(state.filter.used) >= _PAIRS
+        wrong_rig = _has_wrong_rig(check) or (unproven and not check.moved and likelier)
+        if wrong_rig:
             predicted = tracker.filter.with_wrong_rig(predicted)
         else:
-            predicted = tracker.filter.let_centre_move(_with_doubtful_map(predicted) if unproven else predicted)
+            predicted = _with_doubtful_map(predicted) if unproven else predicted
+            predicted = tracker.filter.let_centre_move(predicted)
         state = follow(before, stamp, tracker, predicted)
         check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=0.0 if unproven else check.turned, home=check.home)
     elif predicted.centre_noise > 0.0 and state.confirmed:
@@ -143,8 +145,8 @@ def _compared(
     """
     f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _OFF_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
-    rests = float(f.rate @ f.rate) <= _RESTS**2
-    if check.turned >= _PROVEN or check.moved or rests or used < 2 or f.nis <= _LARGE_NIS * used:
+    rests, fits = float(f.rate @ f.rate) <= _RESTS**2, f.nis <= _LARGE_NIS * used
+    if check.turned >= _PROVEN or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
     moving = stage.let_centre_move(predicted)
