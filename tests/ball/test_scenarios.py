@@ -1,0 +1,19 @@
+"""Disturbances of a whole film (docs/scenarios.py): none makes the pointer jump or leaves counts behind."""
+
+import pytest
+from scenarios import SCENARIOS, measure, run
+
+from spheremouse.ball.settings import Settings
+
+CONTINUOUS = ("play", "flick", "flick 60", "hands", "hands on a flick", "dim", "bump small", "disc moved")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTINUOUS)
+def test_a_disturbance_makes_no_jump(name):
+    """Four counts are 4 mm of the surface: less than a hand feels, and more than rounding leaves."""
+    figures = measure(*run(SCENARIOS[name], Settings(), "known"))
+    assert figures["lost_episodes"] == 0
+    assert figures["attitude_rms_deg"] < 0.05
+    assert figures["jump_counts"] < 4.0
+    assert figures["missing_counts"] < 4.0
