@@ -73,18 +73,24 @@ class SpherePoints:
         return Measurement(self.direction, noise, self.delay, self.row, J, radius, self.centre)
 
 
-def intersect(detections: Centres, rig: Rig, pose: Pose, shift: Array | None = None) -> SpherePoints:
+def intersect(
+    detections: Centres, rig: Rig, pose: Pose, shift: Array | None = None, which: NDArray[np.intp] | None = None
+) -> SpherePoints:
     """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).
 
-    The ball's centre is off its calibrated place by `shift` (3,) m; None: not at all.
+    The ball's centre is off its calibrated place by `shift` (3,) m; None: not at all. `which` (k,) are the indices of
+    the detections that count; None: all.
 
     The result is the nearer of the two points (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
-    noise = np.ascontiguousarray(detections.covariance)
+    centre, noise = detections.centre, np.ascontiguousarray(detections.covariance)
+    if which is not None:
+        centre, noise = centre[which], noise[which]
     view, shift = view_of(rig, pose), np.zeros(3) if shift is None else shift
-    return SpherePoints(*kernels.intersect(detections.centre, noise, view._replace(centre=view.centre + shift)), shift)
+    points = SpherePoints(*kernels.intersect(centre, noise, view._replace(centre=view.centre + shift)), shift)
+    return points if which is None else replace(points, index=which[points.index])
 
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:

@@ -241,11 +241,8 @@ def advance(
     """Process one frame after detection; `predicted` is the filter at `stamp`, if known."""
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
-    if free.all():
-        points = intersect(detections, tracker.rig, tracker.pose, carried.centre)
-    else:
-        points = intersect(detections.take(free), tracker.rig, tracker.pose, carried.centre)
-        points = replace(points, index=np.flatnonzero(free)[points.index])
+    which = None if free.all() else np.flatnonzero(free)
+    points = intersect(detections, tracker.rig, tracker.pose, carried.centre, which)
     state = state._replace(
         lookalikes=lookalikes,
         detections=detections,

@@ -540,8 +540,7 @@ def relocate(
 
 def _omitted_variance(state: So3State, added: Array) -> float:
     """Return the variance, rad², of a place by terms that the linear model omits, with `added` noise of the motion."""
-    spread = float(np.trace(state.joint[:3, :3] + added[:3, :3]))
-    return min(spread, 0.25) ** 2
+    return float(omitted_variance((state.joint[:3, :3] + added[:3, :3])[None])[0])
 
 
 def _twist_as_swing(state: So3State, column: int) -> So3State:

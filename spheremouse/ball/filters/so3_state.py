@@ -450,7 +450,7 @@ def with_wrong_centre(state: So3State, covariance: Array) -> So3State:
     wrong centre have its error in common.
     """
     P, first = state.joint, state.map_row
-    S = np.linalg.lstsq(P[CENTRE, CENTRE], P[CENTRE])[0].T if P[CENTRE, CENTRE].any() else np.zeros((len(P), 3))
+    S = np.linalg.lstsq(P[CENTRE, CENTRE], P[CENTRE])[0].T
     S[CENTRE] = np.eye(3)
     joint = P + S @ covariance @ S.T
     places = S[first : first + 2 * len(state.landmarks)].reshape(-1, 2, 3)

@@ -3,15 +3,12 @@
 Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
-from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
@@ -113,7 +110,7 @@ def filtered_again(
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)
         if (filtered.centre != points.centre).any():
-            points = intersect_again(points, view.detections, tracker, filtered.centre)
+            points = intersect(view.detections, tracker.rig, tracker.pose, filtered.centre, points.index)
         state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
@@ -121,12 +118,6 @@ def filtered_again(
         confirmed_at = view.stamp if state.confirmed else state.confirmed_at
         state = state._replace(confirmed_at=confirmed_at, shown_at=view.stamp)
     return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)
-
-
-def intersect_again(points: SpherePoints, detections: Detections, tracker: Tracker, centre: Array) -> SpherePoints:
-    """Return points on a ball whose centre is off its calibrated place by `centre`, (3,) m."""
-    anew = intersect(detections.take(points.index), tracker.rig, tracker.pose, centre)
-    return replace(anew, index=points.index[anew.index])
 
 
 def update_all(
