@@ -1,6 +1,6 @@
 """Identification: pairs, matches and adjustment compared with brute force; the probability of error by sampling."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammaln, logsumexp
 from scipy.stats import multivariate_normal
 
+from spheremouse.ball.associate import identify
 from spheremouse.ball.constellation.identify import IdentificationPrior, attitude, posterior_error
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 from spheremouse.native import kernels
@@ -18,11 +19,13 @@ CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25
 MODEL = IdentificationPrior()
 AREA = 2.0 * np.pi * (1.0 - HORIZON)
+EDGE = HORIZON + MODEL.limb_cosine
+RATIO = MODEL.sigma_scales[-1] ** 2 / MODEL.sigma_scales[0]  # of two neighbours of the grid of standard deviations
 
 
 def observation(hidden=MODEL.miss_probabilities, scales=MODEL.sigma_scales):
-    edge, hidden, scales = HORIZON + MODEL.limb_cosine, np.array(hidden), np.array(scales)
-    return kernels.ObservationModel(CAMERA, edge, MODEL.limb_width, 0.8, hidden, scales, MODEL.false_mean, AREA)
+    hidden, scales = np.array(hidden), np.array(scales)
+    return kernels.ObservationModel(CAMERA, EDGE, MODEL.limb_width, 0.8, hidden, scales, MODEL.false_mean, AREA)
 
 
 def refined(R, seen, known, variance, model=None):
@@ -32,7 +35,7 @@ def refined(R, seen, known, variance, model=None):
 
 
 def visibility(cosine):
-    return 1.0 / (1.0 + np.exp((HORIZON + MODEL.limb_cosine - cosine) / MODEL.limb_width))
+    return 1.0 / (1.0 + np.exp((EDGE - cosine) / MODEL.limb_width))
 
 
 def scattered(p, sigma, rng):
@@ -40,6 +43,27 @@ def scattered(p, sigma, rng):
     e = tangent_basis(p) @ (np.broadcast_to(sigma, (len(p), 1)) * rng.normal(size=(len(p), 2)))[:, :, None]
     p = p + e[:, :, 0]
     return p / np.linalg.norm(p, axis=1, keepdims=True)
+
+
+def any_attitude(rng):
+    return exp(rng.uniform(0.0, np.pi) * directions(1, rng.integers(1 << 30))[0])
+
+
+def anywhere(n, least, rng):
+    """Return directions, (n, 3), with a cosine to the camera's of at least `least`."""
+    z, a = rng.uniform(least, 1.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
+
+
+def seen_by_model(rng, p, sigma, ratios=()):
+    """Return directions drawn from the model: discs at p, (m, 3), one of `ratios` times as exact, and false ones."""
+    p = p[rng.random(len(p)) < (1.0 - rng.choice(MODEL.miss_probabilities)) * visibility(p[:, 2])]
+    cosine = np.clip(p[:, 2:], 0.3, 1.0)
+    more = np.sqrt(1.0 + 0.5 * MODEL.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
+    scale = rng.choice(MODEL.sigma_scales) * (rng.choice(ratios) if ratios else 1.0)
+    p = scattered(p, scale * sigma * more, rng)
+    return np.vstack([p, anywhere(rng.geometric(1.0 / (1.0 + MODEL.false_mean)) - 1, HORIZON, rng)])
 
 
 @pytest.mark.parametrize(("n", "groups"), [(3, 1), (7, 1), (8, 2), (11, 3), (13, 4)])
@@ -212,32 +236,52 @@ def test_posterior_error_sums_over_other_attitudes():
     assert_allclose(posterior_error(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
 
 
+def test_three_exact_directions_suffice_though_their_sigma_is_uncertain():
+    """Three of twelve discs among ten false directions: found by their small residuals, and never wrong."""
+    sigma, right, coarse = 3e-3, 0, 0
+    for seed in range(60):
+        rng = np.random.default_rng([11, seed])
+        known, R = directions(12, seed), any_attitude(rng)
+        p = known @ R.T
+        p = p[np.argsort(-p[:, 2])[:3]]
+        seen = np.vstack([scattered(p, 3e-4, rng), anywhere(10, EDGE, rng)])
+        for least in (3e-4, sigma):
+            found = attitude(seen, known, sigma, CAMERA, HORIZON, min_sigma=least)
+            if found is not None and found.error_probability < 1e-3:
+                assert np.linalg.norm(log(found.rotation @ R.T)) < 5e-3
+                right, coarse = right + (least < sigma), coarse + (least == sigma)
+    assert right >= 0.8 * 60
+    assert coarse < 0.1 * 60
+
+
 @pytest.mark.slow
-def test_probability_of_error_equals_the_frequency_of_errors():
-    """Balls drawn from the model, with noise of 4 degrees, in four classes of the probability."""
+@pytest.mark.parametrize(
+    ("ratios", "limits"), [((), (0.0, 0.05, 0.3, 0.7, 1.0)), ((1.0, 1.0 / RATIO), (0.0, 0.05, 0.5, 1.0))]
+)
+def test_probability_of_error_equals_the_frequency_of_errors(ratios, limits):
+    """Balls drawn from the model, with noise of 4 degrees, known or not to a third, in classes of the probability."""
     rng = np.random.default_rng(7)
     said, wrong = [], []
     sigma = np.deg2rad(4.0)
     for i in range(1000):
         known, R = directions(20, i % 30, least=0.35), Rotation.random(random_state=i).as_matrix()
-        p = known @ R.T
-        p = p[rng.random(20) < (1.0 - rng.choice(MODEL.miss_probabilities)) * visibility(p[:, 2])]
-        cosine = np.clip(p[:, 2:], 0.3, 1.0)
-        more = np.sqrt(1.0 + 0.5 * MODEL.pixel_noise_fraction * (1.0 / cosine**2 - 1.0))
-        p = scattered(p, rng.choice(MODEL.sigma_scales) * sigma * more, rng)
-        k = rng.geometric(1.0 / (1.0 + MODEL.false_mean)) - 1
-        z, a = rng.uniform(HORIZON, 1.0, k), rng.uniform(0.0, 2.0 * np.pi, k)
-        r = np.sqrt(1.0 - z * z)
-        p = np.vstack([p, np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)])
-        found = attitude(p, known, sigma, CAMERA, HORIZON) if len(p) >= 3 else None
+        p = seen_by_model(rng, known @ R.T, sigma, ratios)
+        least = sigma / RATIO if ratios else None
+        found = attitude(p, known, sigma, CAMERA, HORIZON, min_sigma=least) if len(p) >= 3 else None
         if found is not None:
             said.append(found.error_probability)
             wrong.append(np.linalg.norm(log(found.rotation @ R.T)) > 0.35)
     said, wrong = np.array(said), np.array(wrong)
-    for low, high in ((0.0, 0.05), (0.05, 0.3), (0.3, 0.7), (0.7, 1.0)):
+    for low, high in pairwise(limits):
         these = (said >= low) & (said < high)
         n, expected = np.sum(these), np.sum(said[these])
         assert n > 30
         spread = np.sqrt(np.sum(said[these] * (1.0 - said[these])))
         assert np.sum(wrong[these]) < expected + 4.0 * spread, (low, high)
         assert np.sum(wrong[these]) > 0.4 * expected - 4.0 * spread, (low, high)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.02])
+def test_a_least_sigma_is_above_0_and_at_most_sigma(least):
+    with pytest.raises(ValueError, match=f"^min_sigma {least} is no standard deviation up to 0.01"):
+        identify(np.eye(3), np.eye(3), sigma=0.01, view_axis=CAMERA, min_sigma=least)
