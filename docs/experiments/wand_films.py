@@ -17,7 +17,7 @@ from spheremouse.evaluation.wand import WandHistory, WandRun, followed, found_fr
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.wand.offline import track_wand
+from spheremouse.session.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, WandTruth, grzonka_ball
 from spheremouse.wand.build import build

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs
-from spheremouse.commands.calibrate.options import Force
-from spheremouse.commands.options import JsonFile
+from spheremouse.commands.options import Force, JsonFile
 from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import write_json
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import Force
 from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:

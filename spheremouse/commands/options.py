@@ -42,13 +42,39 @@ ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Configuration file; see `spheremouse config`.")
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 RigFile = Annotated[
     Path | None, typer.Option("--rig", metavar="FILE", help="The device as calibrated, in place of the recording's.")
+]
+Report = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
 ]
 Socket = Annotated[
     Path | None,
     typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
 ]
+
+
+# ---- the board; by default as in its board.yaml, or as printed ----
+
+Corners = Annotated[
+    str | None,
+    typer.Option(
+        "--board",
+        metavar="CxR",
+        help="Inner corners along and down: one less than squares.  [default: from board.yaml]",
+    ),
+]
+Square = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.  [default: from board.yaml]"
+    ),
+]
+Marker = Annotated[
+    str | None, typer.Option(metavar="LENGTH", help="Side of a marker, as in 60mm: it is a ChArUco board.")
+]
+Dictionary = Annotated[str | None, typer.Option(metavar="NAME", help="ChArUco markers, as printed on the board.")]
 
 
 def one_or_all(values: Sequence[T] | None) -> T | Sequence[T] | None:

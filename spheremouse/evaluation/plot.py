@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spheremouse.ball.truth import Truth
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluation.metrics import attitude_error
+from spheremouse.evaluation.run import Run
 from spheremouse.files.report.style import BLUE, GREEN, INK, MUTED, RED, styled
 from spheremouse.files.safe_files import write
 from spheremouse.geometry.rotation import Array, log
@@ -23,25 +25,18 @@ _AXES = "XYZ"
 _COLOURS = RED, GREEN, BLUE
 
 
-def plot_run(
-    stamps: Array,
-    attitude: Array,
-    rate: Array,
-    truth_attitude: Array,
-    truth_rate: Array,
-    covariance: Array,
-    path: Path | str,
-) -> None:
-    """Draw n tracked frames to an image file.
+def plot_run(run: Run, truth: Truth, path: Path | str) -> None:
+    """Draw the tracked frames, at least one, to an image file; those between are gaps.
 
-    `stamps` (n,) s; `attitude` and `truth_attitude` (n, 3, 3) R_obj_ball; `rate` and `truth_rate` (n, 3) rad/s in
-    `obj`; `covariance` (n, 6, 6) of rotation error and rate. Attitudes are drawn as rotation vectors from the first
-    frame. Errors are those of `metrics`, with bands of ±3 of the filter's standard deviations. The suffix of `path`
-    sets the format, `.png` if there is none. Raises ConfigurationError if the file cannot be written.
+    Attitudes are drawn as rotation vectors from the first frame. Errors are those of `metrics`, with bands of ±3 of the
+    filter's standard deviations. The suffix of `path` sets the format, `.png` if there is none. Raises
+    ConfigurationError if the file cannot be written.
     """
-    t = np.asarray(stamps, dtype=float)
+    kept = run.tracked
+    t, attitude, rate = run.stamp[kept], run.attitude[kept], run.rate[kept]
+    truth_attitude, truth_rate = truth.attitude[run.frame[kept]], truth.rate[run.frame[kept]]
     gap = _gaps(t)[:, None]
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    sigma = np.sqrt(np.maximum(np.diagonal(run.covariance[kept], axis1=1, axis2=2), 0.0))
     columns = (
         (
             "Attitude",
@@ -62,9 +57,9 @@ def plot_run(
         FigureCanvasAgg(figure)
         figure.get_layout_engine().set(w_pad=0.08, h_pad=0.03, hspace=0.03, wspace=0.04)  # type: ignore[union-attr]
         axes = figure.subplots(4, 2, sharex=True, gridspec_kw={"height_ratios": [3.4, 1, 1, 1]})
-        for column, (title, label, unit, estimate, truth, error, claimed) in zip(axes.T, columns, strict=True):
+        for column, (title, label, unit, estimate, true, error, claimed) in zip(axes.T, columns, strict=True):
             column[0].set_title(title, pad=10, fontweight="bold")
-            _draw_curves(column[0], t, np.rad2deg(estimate) + gap, np.rad2deg(truth) + gap, label)
+            _draw_curves(column[0], t, np.rad2deg(estimate) + gap, np.rad2deg(true) + gap, label)
             _draw_errors(column[1:], t, np.rad2deg(error) + gap, np.rad2deg(claimed) + gap, unit)
             column[-1].set_xlabel("time, s")
         figure.align_ylabels(axes)

@@ -15,9 +15,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.picture_map import PictureMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import disc_map, picture_map
-from spheremouse.files.map_header import header_lines
 from spheremouse.files.safe_files import write_atomically
-from spheremouse.files.yaml import parse_bytes, read_raw
+from spheremouse.files.yaml import SCHEMAS, parse_bytes, read_raw
 
 BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
 _MAX_BYTES = 8_000_000  # a picture of noise has 3 MB
@@ -76,7 +75,12 @@ def load_map(path: Path) -> SavedMap:
 
 def map_text(saved: SavedMap) -> str:
     """Return the text of a map file."""
-    header = header_lines(saved.version, saved.saved, saved.ball_radius)
+    header = [
+        f"schema: {SCHEMAS['map']}",
+        f'spheremouse: "{saved.version}"',
+        f'saved: "{saved.saved.isoformat()}"',
+        f"ball_radius: {float(saved.ball_radius)!r}  # m",
+    ]
     made: Any = saved.map
     lines = _LINES[saved.map.kind](header, made, saved.disc_radius)
     return "\n".join(lines) + "\n"

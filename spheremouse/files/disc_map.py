@@ -7,6 +7,7 @@ sightings. Their correlations follow as a Cholesky factor, which gives a covaria
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +16,6 @@ from pydantic import Field
 from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalised
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS
-from spheremouse.files.map_header import Length, MapHeader, header_problems
 from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import Document, Problem, shown, without_schema
 from spheremouse.geometry.rotation import Array
@@ -24,8 +24,17 @@ from spheremouse.geometry.statistics import correlation
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # likewise
+Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # as in the rig file
 Sigma = Annotated[float, Field(ge=0, lt=10)]
 Weight = Annotated[float, Field(ge=-1, le=1)]
+
+
+class MapHeader(Part):
+    """The part of a map file that all kinds of maps have: version, time and the ball's radius."""
+
+    spheremouse: str = Field(description="version of the program that wrote the file")
+    saved: str = Field(description='date and time as "2025-01-31T12:00:00+00:00"')
+    ball_radius: Length = Field(description="radius of the ball in m")
 
 
 class DiscItem(Part):
@@ -125,7 +134,11 @@ def landmarks(file: LandmarksFile) -> DiscMap:
 
 def landmark_problems(file: LandmarksFile) -> Iterator[Problem]:
     """Yield what is wrong with date, directions and correlations of a file."""
-    yield from header_problems(file)
+    try:
+        if datetime.fromisoformat(file.saved).tzinfo is None:
+            yield Problem(("saved",), f"{shown(file.saved)} has no time zone; end it in +00:00")
+    except ValueError:
+        yield Problem(("saved",), f'is {shown(file.saved)}; write date and time as "2025-01-31T12:00:00+00:00"')
     for i, disc in enumerate(file.discs):
         length = np.linalg.norm(disc.direction)
         if not abs(length - 1.0) <= 1e-3:

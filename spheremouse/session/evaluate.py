@@ -20,8 +20,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.session.offline import initialise, merged, track
-from spheremouse.session.wand.offline import Known, track_wand
+from spheremouse.session.offline import Known, initialise, merged, track, track_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandTracker

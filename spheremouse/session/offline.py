@@ -1,4 +1,4 @@
-"""Track a recording of a ball in its frame from its first frame to its last, and measure times."""
+"""Track a recording of a ball, or of balls in a hand, from its first frame to its last, and measure times."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,11 +23,19 @@ from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step as step_ball
 from spheremouse.errors import ConfigurationError, OutputError, PoseError, SourceError
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.output import Output, OutputClosed, Report, open_output, report_of, response_of
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
+from spheremouse.wand.state import WandEpoch, WandState, WandTracker
+from spheremouse.wand.track import begin as begin_wand
+from spheremouse.wand.track import step as step_wand
+
+_NO_HUE = ("dark", "light")  # colours of a wand's discs that grey frames show as well
+
+Known = dict[int, tuple[Array, Array]]  # position and rotation of balls in a hand, by their index
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,3 +210,29 @@ def track(
         state, estimate, events = step_ball(state, frame, trackers[frame.camera], detected)
         times[2] = time.perf_counter()
         yield Epoch(frame, state, estimate, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})
+
+
+# ---- balls in a hand ----
+
+
+def track_wand(
+    frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
+) -> Iterator[WandEpoch]:
+    """Track every frame; `known` has the poses of balls at the first one."""
+    state: WandState | None = None
+    for frame in frames:
+        check_wand_frame(frame, tracker)
+        state = state or begin_wand(tracker, seed, frame.stamp, known)
+        start = time.perf_counter()
+        state, estimate, _ = step_wand(state, frame, tracker)
+        yield WandEpoch(frame, state, estimate, time.perf_counter() - start)
+
+
+def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:
+    """Raise SourceError if a frame has another size than the camera's, or lacks the colour that the balls need."""
+    check_size(frame, tracker.camera)
+    if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):
+        raise SourceError(
+            f"the frames are grey, and the ball has {' and '.join(paints)} discs: use a camera in colour, or a ball "
+            "in dark and light"
+        )

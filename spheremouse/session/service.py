@@ -40,7 +40,7 @@ from spheremouse.session.control.protocol import (
     refused,
 )
 from spheremouse.session.control.request_queue import PendingRequest, RequestQueue
-from spheremouse.session.control.server import Endpoints
+from spheremouse.session.control.server import ControlServer, open_endpoints
 from spheremouse.session.control.status import (
     CameraStatus,
     OutputStatus,
@@ -101,9 +101,8 @@ class Daemon:
         self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = "usual scheduling"
         self._notifier = Notifier()
-        self._endpoints = Endpoints(self.handle, self._log, lambda: self._claim(0))
+        self._server: ControlServer | None = None
         self._stack = contextlib.ExitStack()
-        self._stack.callback(self._endpoints.close)
         self._ring = LatestFrame()
         self._requests = RequestQueue(self._ring.wake, self._log)
         call = self._requests.call
@@ -254,7 +253,8 @@ class Daemon:
         if shown:
             self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
         self._show(made, report, self.adapter)
-        self._endpoints.submit(report)
+        if self._server is not None:
+            self._server.submit(report)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._ending = True
 
@@ -302,7 +302,9 @@ class Daemon:
     def _open_endpoints(self) -> None:
         """Open control socket and metrics, and notify systemd."""
         c = self._reloader.plan.configuration
-        self._endpoints.open(c.control, c.metrics, self.status)
+        self._server = open_endpoints(
+            self._stack, c, self.handle, self.status, log=self._log, claim=lambda: self._claim(0)
+        )
         removed = tidy(recordings_folder(c.record))
         if removed:
             self._log(f"record: {removed} half-written by a run that was cut off, removed")
@@ -343,7 +345,8 @@ class Daemon:
 
     def _log_now(self, text: str) -> None:
         self._print(text)
-        self._endpoints.publish(text)
+        if self._server is not None:
+            self._server.publish({"event": "log", "text": text})
 
     # ---- requests ----
 

@@ -14,11 +14,19 @@ from typing import Literal
 from spheremouse.calibrate.board import NAME as BOARD_FILE
 from spheremouse.calibrate.board import PRINTED, options_from_provenance
 from spheremouse.calibrate.guide import folder as cabinet
-from spheremouse.calibrate.guide.folder import Photos, Result, count
+from spheremouse.calibrate.guide.folder import (
+    CAMERA_FILE,
+    CONFIG_FILE,
+    DEFAULT,
+    DEVICE_FILE,
+    RIG_FILE,
+    Photos,
+    Result,
+    count,
+)
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.files.calibration_folder import CAMERA_FILE, CONFIG_FILE, DEFAULT, DEVICE_FILE, RIG_FILE
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
 from spheremouse.files.yaml import shown
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.calibrate.options import Force
-from spheremouse.commands.options import with_fields
+from spheremouse.commands.options import Force, with_fields
 from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
 
 if TYPE_CHECKING:

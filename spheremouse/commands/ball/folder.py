@@ -9,10 +9,10 @@ import numpy as np
 from spheremouse import __version__
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
+from spheremouse.calibrate.guide.folder import CAMERA_FILE, CONFIG_FILE, RIG_FILE
 from spheremouse.calibrate.outline.fit import Outline
 from spheremouse.calibrate.outputs import check_outputs, copyable
 from spheremouse.errors import CalibrationError, os_errors_as
-from spheremouse.files.calibration_folder import CAMERA_FILE, CONFIG_FILE, RIG_FILE
 from spheremouse.files.config import to_yaml
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.files.safe_files import write, write_atomically

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, option_words
-from spheremouse.commands.calibrate.options import Corners, Dictionary, Force, Marker, Report, Square
-from spheremouse.commands.options import JsonFile
+from spheremouse.commands.options import Corners, Dictionary, Force, JsonFile, Marker, Report, Square
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json

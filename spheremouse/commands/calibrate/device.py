@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, option_words, sha256
-from spheremouse.commands.calibrate.options import Force, Report
-from spheremouse.commands.options import JsonFile
+from spheremouse.commands.options import Force, JsonFile, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json

@@ -19,8 +19,7 @@ def init(
     ] = False,
 ) -> None:
     """Make a folder with room for photos, and device.yaml to fill in."""
-    from spheremouse.calibrate.guide.folder import next_command
-    from spheremouse.files.calibration_folder import default_folder
+    from spheremouse.calibrate.guide.folder import default_folder, next_command
     from spheremouse.files.device import device_template
     from spheremouse.files.safe_files import write_atomically
 

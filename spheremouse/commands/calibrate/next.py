@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import table_console
 from spheremouse.errors import ConfigurationError
 
@@ -24,9 +25,7 @@ def next_(
     folder: Annotated[
         Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the steps as JSON; - prints them instead.")
-    ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Show how far a calibration is, and the next step with its command.
 
@@ -34,20 +33,18 @@ def next_(
     at any time and continue it later.
     """
     from spheremouse.calibrate.guide.checklist import checklist
-    from spheremouse.files.calibration_folder import default_folder
+    from spheremouse.calibrate.guide.folder import default_folder
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files.safe_files import write_json
 
-    if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():
-        raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
     folder = default_folder() if folder is None else folder
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
+    check_outputs([json_file], [folder], force=True)
     steps = checklist(folder)
-    if json_file is not None:
-        described = {"folder": str(folder), "steps": [dataclasses.asdict(s) for s in steps]}
-        if write_json(json_file, described):
-            return
-    _show(steps)
+    described = {"folder": str(folder), "steps": [dataclasses.asdict(s) for s in steps]}
+    if json_file is None or not write_json(json_file, described):
+        _show(steps)
 
 
 def _show(steps: "Sequence[Step]") -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from spheremouse.commands.calibrate.options import Corners, Dictionary, Marker, Square
+from spheremouse.commands.options import Corners, Dictionary, Marker, Square
 from spheremouse.errors import CalibrationError
 
 if TYPE_CHECKING:
@@ -61,12 +61,11 @@ def photos(
     FOLDER/board or FOLDER/device, where `calibrate next` finds them.
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
-    from spheremouse.calibrate.guide.folder import camera_command, device_command, photos_command
+    from spheremouse.calibrate.guide.folder import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.session import JsonScreen, open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
     from spheremouse.commands.config import root
-    from spheremouse.files.calibration_folder import default_folder
     from spheremouse.files.config import in_force
 
     if picture is not None and (not as_json or picture.suffix != ".jpg"):

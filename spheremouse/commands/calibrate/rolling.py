@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs, sha256
-from spheremouse.commands.calibrate.options import Force
-from spheremouse.commands.options import JsonFile
+from spheremouse.commands.options import Force, JsonFile
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.safe_files import write_json
 

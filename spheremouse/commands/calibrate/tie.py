@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.calibrate.outputs import check_outputs, note
-from spheremouse.commands.calibrate.options import Force
+from spheremouse.commands.options import Force
 from spheremouse.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from spheremouse.commands.run.view import RunView
 from spheremouse.errors import ConfigurationError, os_errors_as
 from spheremouse.evaluation.metrics import report
 from spheremouse.evaluation.plot import plot_run
-from spheremouse.evaluation.run import History, Reference, Run
+from spheremouse.evaluation.run import History, Reference
 from spheremouse.files import config
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import Report
@@ -88,7 +88,8 @@ def _compare(film: "_Film", view: "_View", adapter: BallAdapter, out: Path) -> N
     run, found = view.history.run(), None if adapter.resection is None else adapter.resection.pose
     reference, frames = film.reference(), len(film.filmed)
     result = report(run, reference, adapter.rig, dataset="demo", tracker="so3", frames=frames, found=found)
-    _draw_plot(run, film.truth(), out / "plot.png")
+    if len(run.tracked):
+        plot_run(run, film.truth(), out / "plot.png")
     print()
     Console(file=sys.stdout, highlight=False).print(_summary(result, view, film.truth(), adapter.rig))
     files = [(str(out / name), meaning) for name, meaning in FILES.items() if (out / name).exists()]
@@ -152,13 +153,6 @@ class _Film:
         discs = DiscTruth(*(np.concatenate([getattr(r, n) for r in rows]) for n in DiscTruth.__slots__))
         scene = self.simulation.scene
         return Reference(self.truth(), discs, scene.pose, scene.disc_directions)
-
-
-def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
-    kept = run.tracked
-    if len(kept):
-        true = truth.attitude[run.frame[kept]], truth.rate[run.frame[kept]]
-        plot_run(run.stamp[kept], run.attitude[kept], run.rate[kept], *true, run.covariance[kept], path)
 
 
 def _summary(result: dict[str, Any], view: _View, truth: Truth, rig: Rig) -> Table:

@@ -137,10 +137,7 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
 
 
 def _plot(run: Run, recording: Recording, path: Path) -> None:
-    """Draw the tracked frames; those between are gaps."""
-    kept, truth = run.tracked, recording.truth
-    assert truth is not None
-    if len(kept) == 0:
+    assert recording.truth is not None
+    if len(run.tracked) == 0:
         raise DatasetError(f"{recording.path}: nothing was tracked, so there is nothing to draw for --plot")
-    true = truth.attitude[run.frame[kept]], truth.rate[run.frame[kept]]
-    plot_run(run.stamp[kept], run.attitude[kept], run.rate[kept], *true, run.covariance[kept], path)
+    plot_run(run, recording.truth, path)

@@ -15,10 +15,10 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording, open_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.evaluate import run_wand, wand_reports
+from spheremouse.session.offline import Known
 from spheremouse.session.run_config import read_balls, with_distinct_names
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
-from spheremouse.session.wand.offline import Known
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.build import build
 from spheremouse.wand.state import WandTracker

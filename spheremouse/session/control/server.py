@@ -41,7 +41,7 @@ from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.socket_file import socket_path
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.process.threads import begin
-from spheremouse.session.settings import ControlSettings, MetricsSettings
+from spheremouse.session.settings import Configuration, ControlSettings
 
 Handle = Callable[[PendingRequest], None]
 
@@ -414,40 +414,29 @@ def _resolve(reply: asyncio.Future[dict[str, Any]], message: dict[str, Any]) -> 
         reply.set_result(message)
 
 
-class Endpoints:
-    """Open from `open` until `close`."""
+def open_endpoints(
+    stack: contextlib.ExitStack,
+    configuration: Configuration,
+    handle: Handle,
+    status: Callable[[], StatusReport],
+    log: Callable[[str], None],
+    claim: Callable[[], object],
+) -> ControlServer | None:
+    """Open the control socket and the metrics until the stack closes; `handle` and `claim` are the server's.
 
-    def __init__(self, handle: Handle, log: Callable[[str], None], claim: Callable[[], object]) -> None:
-        """`handle` and `claim` are the control server's."""
-        self._handle, self._log, self._claim = handle, log, claim
-        self._stack = contextlib.ExitStack()
-        self._server: ControlServer | None = None
-
-    def open(self, control: ControlSettings, metrics: MetricsSettings, status: Callable[[], StatusReport]) -> None:
-        """Open both. ControlError if a configured socket cannot be opened; other failures are logged."""
+    Return the server; None if the usual socket cannot be opened, which is logged like a failure of the metrics. Raises
+    ControlError if a configured socket cannot be opened.
+    """
+    control, metrics, server = configuration.control, configuration.metrics, None
+    try:
+        server = stack.enter_context(ControlServer(socket_path(control.socket), control, handle, log, claim=claim))
+    except ControlError as e:
+        if control.socket is not None:
+            raise
+        log(f"control: {e}: `spheremouse ctl` cannot ask this run")
+    if metrics.port is not None:
         try:
-            path = socket_path(control.socket)
-            server = ControlServer(path, control, self._handle, self._log, claim=self._claim)
-            self._server = self._stack.enter_context(server)
-        except ControlError as e:
-            if control.socket is not None:
-                raise
-            self._log(f"control: {e}: `spheremouse ctl` cannot ask this run")
-        if metrics.port is not None:
-            try:
-                url = self._stack.enter_context(serve_metrics(metrics.port, metrics.address, status))
-                self._log(f"metrics: {url}")
-            except SpheremouseError as e:
-                self._log(f"{e}; going on without")
-
-    def submit(self, report: Report) -> None:
-        if self._server is not None:
-            self._server.submit(report)
-
-    def publish(self, text: str) -> None:
-        """Send a line of the log to the clients that watch, from any thread."""
-        if self._server is not None:
-            self._server.publish({"event": "log", "text": text})
-
-    def close(self) -> None:
-        self._stack.close()
+            log(f"metrics: {stack.enter_context(serve_metrics(metrics.port, metrics.address, status))}")
+        except SpheremouseError as e:
+            log(f"{e}; going on without")
+    return server

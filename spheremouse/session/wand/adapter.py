@@ -19,6 +19,7 @@ from spheremouse.output.sample import Sample
 from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.control.status import BallStatus, TrackerStatus
 from spheremouse.session.directions import of_hand
+from spheremouse.session.offline import check_wand_frame
 from spheremouse.session.overlay.annotations import of_balls, plain
 from spheremouse.session.overlay.drawing import picture_of
 from spheremouse.session.overlay.pen import Image, in_blocks
@@ -26,7 +27,6 @@ from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration, configuration_text
 from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subject, TrackerAdapter, camera_scene
 from spheremouse.session.wand.messages import WandMessages
-from spheremouse.session.wand.offline import check_wand_frame
 from spheremouse.tracker import Estimate, Event, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
 from spheremouse.wand.events import BallEvent

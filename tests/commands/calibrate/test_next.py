@@ -334,7 +334,7 @@ def test_json_is_the_same_list(cabinet, tmp_path):
     assert json.loads((tmp_path / "steps.json").read_text()) == printed
     assert printed["folder"] == str(cabinet)
     assert [s["name"] for s in printed["steps"]] == NAMES
-    with pytest.raises(ConfigurationError, match="no such folder"):
+    with pytest.raises(CalibrationError, match="there is no folder"):
         run("next", cabinet, "--json", tmp_path / "nowhere" / "x.json")
 
 

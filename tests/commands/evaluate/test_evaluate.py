@@ -701,12 +701,12 @@ def test_added_noise_and_brightness():
 def test_plot_draws_a_picture(tmp_path):
     pytest.importorskip("matplotlib")
     truth = random_motion(60)
-    P = np.broadcast_to(1e-4 * np.eye(6), (60, 6, 6))
+    run = replace(perfect_run(truth), covariance=np.broadcast_to(1e-4 * np.eye(6), (60, 6, 6)))
     path = tmp_path / "run.png"
-    plot.plot_run(truth.stamp, truth.attitude, truth.rate, truth.attitude, truth.rate, P, path)
+    plot.plot_run(run, truth, path)
     image = cv2.imread(str(path))
     assert image.shape[0] > 600
     assert image.shape[1] > 1000
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
     with pytest.raises(ConfigurationError, match="cannot be written"):
-        plot.plot_run(truth.stamp, truth.attitude, truth.rate, truth.attitude, truth.rate, P, tmp_path / "no" / "a.png")
+        plot.plot_run(run, truth, tmp_path / "no" / "a.png")

@@ -16,9 +16,8 @@ from control_world import FINE, OTHER, a_group, answer
 from spheremouse.errors import ControlError
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.client import Client, NoDaemonError
-from spheremouse.session.control.server import ControlServer, Endpoints
-from spheremouse.session.control.socket_file import SOCKET
-from spheremouse.session.settings import ControlSettings, MetricsSettings
+from spheremouse.session.control.server import ControlServer, open_endpoints
+from spheremouse.session.settings import Configuration, ControlSettings, MetricsSettings
 
 as_root = pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
 
@@ -232,41 +231,29 @@ def test_a_client_finds_the_daemon_that_answers(bare, monkeypatch):
         assert socket_file.find_socket() == Path("/elsewhere")
 
 
-ANYWHERE, NO_METRICS = ControlSettings(), MetricsSettings()
-
-
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def opened(tmp_path, monkeypatch):
+    """(log, **configuration) -> the control server of a run."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    return tmp_path
+    with contextlib.ExitStack() as stack:
+        yield lambda log, **c: open_endpoints(stack, Configuration(**c), answer, dict, log.append, lambda: None)
 
 
-def endpoints(log):
-    return contextlib.closing(Endpoints(answer, log.append, lambda: None))
-
-
-def test_a_run_goes_on_without_the_usual_socket_that_another_run_holds(folder):
+def test_a_run_goes_on_without_the_usual_socket_that_another_run_holds_but_not_without_its_own(opened):
     log = []
-    with endpoints([]) as first, endpoints(log) as second:
-        first.open(ANYWHERE, NO_METRICS, dict)
-        second.open(ANYWHERE, NO_METRICS, dict)
-    assert len(log) == 1
-    assert "another daemon listens there" in log[0]
-    assert "cannot ask this run" in log[0]
+    first = opened(log)
+    assert log == []
+    assert opened(log) is None
+    (line,) = log
+    assert "another daemon listens there" in line
+    assert "cannot ask this run" in line
+    with pytest.raises(ControlError, match="another daemon listens there"):
+        opened(log, control=ControlSettings(socket=str(first.path)))
 
 
-def test_a_run_without_its_configured_socket_is_refused(folder):
-    asked_for = ControlSettings(socket=str(folder / "s"))
-    with endpoints([]) as first, endpoints([]) as second:
-        first.open(asked_for, NO_METRICS, dict)
-        with pytest.raises(ControlError, match="another daemon listens there"):
-            second.open(asked_for, NO_METRICS, dict)
-
-
-def test_a_run_goes_on_without_metrics_that_cannot_be_served(folder):
+def test_a_run_goes_on_without_metrics_that_cannot_be_served(opened):
     log = []
-    with endpoints(log) as one:
-        one.open(ANYWHERE, MetricsSettings(port=9999, address="nonsense"), dict)
-        assert Client(folder / SOCKET).ask("pause")
+    server = opened(log, metrics=MetricsSettings(port=9999, address="nonsense"))
+    assert Client(server.path).ask("pause")
     assert len(log) == 1
     assert log[0].endswith("going on without")
