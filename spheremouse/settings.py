@@ -56,3 +56,8 @@ def param(
     most = bounds.pop("most", None)
     metadata = {"unit": unit, "meaning": meaning, "bounds": bounds, "most": most, "refused": refused}
     return field(default=default, metadata={**metadata, "null": null, "pair": pair})
+
+
+def option_name(field: str) -> str:
+    """Return the command-line option of a field."""
+    return "--" + field.replace("_", "-")

@@ -1,5 +1,6 @@
 """Construction of a tracker from a device, a pose and settings, and of its state before the first frame."""
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +15,6 @@ from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.phases.discs import Discs
 from spheremouse.ball.phases.method import SO3
-from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
-from spheremouse.ball.published.method import PUBLISHED, Blobs
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
@@ -26,9 +25,6 @@ from spheremouse.ball.state import (
     TrackState,
     no_points,
 )
-from spheremouse.ball.texture.both import BOTH, Both
-from spheremouse.ball.texture.detector import Texture
-from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
@@ -41,12 +37,35 @@ class Choice(NamedTuple):
     method: Method
 
 
-DETECTORS = {
-    "default": Choice(Discs(), SO3),
-    "blobs": Choice(Blobs(), SO3),
-    "texture": Choice(Texture(), TEXTURE),
-    "both": Choice(Both(), BOTH),
-}
+@cache
+def _discs() -> Choice:
+    return Choice(Discs(), SO3)
+
+
+@cache
+def _blobs() -> Choice:
+    from spheremouse.ball.published.method import Blobs
+
+    return Choice(Blobs(), SO3)
+
+
+@cache
+def _texture() -> Choice:
+    from spheremouse.ball.texture.detector import Texture
+    from spheremouse.ball.texture.method import TEXTURE
+
+    return Choice(Texture(), TEXTURE)
+
+
+@cache
+def _both() -> Choice:
+    from spheremouse.ball.texture.both import BOTH, Both
+
+    return Choice(Both(), BOTH)
+
+
+# Functions, since a run imports its own detector alone
+DETECTORS = {"default": _discs, "blobs": _blobs, "texture": _texture, "both": _both}
 
 
 def detector_name(rig: Rig, settings: Settings) -> str:
@@ -57,7 +76,7 @@ def detector_name(rig: Rig, settings: Settings) -> str:
 
 def detector_of(rig: Rig, settings: Settings) -> Detector:
     """Return the detector in use."""
-    return DETECTORS[detector_name(rig, settings)].detector
+    return DETECTORS[detector_name(rig, settings)]().detector
 
 
 def map_kind(rig: Rig, settings: Settings) -> str:
@@ -99,7 +118,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     """
     check_discs(rig, settings)
     check_view(rig, pose)
-    detector, method = DETECTORS[detector_name(rig, settings)]
+    detector, method = DETECTORS[detector_name(rig, settings)]()
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
     stage: Filter[Any]
@@ -114,6 +133,9 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             rig.readout_sigma_s,
         )
     else:
+        from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
+        from spheremouse.ball.published.method import PUBLISHED
+
         method = PUBLISHED
         stage = (StateDiscsFilter if settings.tracker == "ekf2" else ConstantDiscsFilter)(settings.euler)
     if (

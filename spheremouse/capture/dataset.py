@@ -1,11 +1,11 @@
-"""`dataset:DIR`: a recording with its description (docs/datasets.md). The truth is not read here."""
+"""`dataset:DIR`: a recording with its description (docs/datasets.md). Only the stamps of its truth are read."""
 
 from pathlib import Path
 
 from spheremouse.capture import Stream, paced
 from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
-from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.ball import open_frames
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.finding import Finding
 
@@ -17,7 +17,7 @@ def open(argument: str, realtime: bool) -> Stream:
     """
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
-    recording = open_dataset(Path(argument))
+    recording = open_frames(Path(argument))
     frames = read_frames(recording)
     return Stream(paced(frames) if realtime else frames, rig=recording.rig, fps=recording.fps, count=recording.frames)
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar, get_args
 import typer
 
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.simulate.ball.options import option_name
+from spheremouse.settings import option_name
 
 _MAX_SIDE_PX = 8192  # px, a side
 _LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more

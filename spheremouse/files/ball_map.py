@@ -12,14 +12,14 @@ from spheremouse import __version__
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.texture.picture_map import PictureMap
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import disc_map, picture_map
+from spheremouse.files import disc_map
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.yaml import SCHEMAS, parse_bytes, read_raw
 
 BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
 _MAX_BYTES = 8_000_000  # a picture of noise has 3 MB
+_PICTURE = b"\npicture: |\n"  # key of the last entry of a map of a pattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,14 @@ def load_map(path: Path) -> SavedMap:
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; check the path")
     try:
-        text, picture = picture_map.split(read_raw(path, _MAX_BYTES))
-        document = parse_bytes(text, str(path))
-        file, found = disc_map.parsed(document) if picture is None else picture_map.parsed(document, picture)
+        text, key, picture = read_raw(path, _MAX_BYTES).partition(_PICTURE)
+        document = parse_bytes(text + b"\n", str(path))
+        if key:
+            from spheremouse.files import picture_map
+
+            file, found = picture_map.parsed(document, picture)
+        else:
+            file, found = disc_map.parsed(document)
     except ConfigurationError as e:
         first, *others = str(e).splitlines()
         more = f" (and {len(others)} more)" if others else ""
@@ -82,11 +87,14 @@ def map_text(saved: SavedMap) -> str:
         f"ball_radius: {float(saved.ball_radius)!r}  # m",
     ]
     made: Any = saved.map
-    lines = _LINES[saved.map.kind](header, made, saved.disc_radius)
+    if made.kind == DiscMap.kind:
+        assert saved.disc_radius is not None
+        lines = disc_map.lines(header, made, saved.disc_radius)
+    else:
+        from spheremouse.files import picture_map
+
+        lines = picture_map.lines(header, made)
     return "\n".join(lines) + "\n"
-
-
-_LINES = {DiscMap.kind: disc_map.lines, PictureMap.kind: picture_map.lines}
 
 
 def check_fits(saved: SavedMap, rig: Rig, path: Path, kind: str) -> None:

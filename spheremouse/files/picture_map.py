@@ -18,7 +18,6 @@ from spheremouse.files.disc_map import LandmarksFile, landmark_lines, landmark_p
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import Document, Problem, without_schema
 
-_KEY = b"\npicture: |\n"
 _VALUE, _WEIGHT = 1.0 / 1024.0, 1.0 / 8.0  # of a contrast; of a view
 _MAX_LINE_CHARACTERS = 120  # characters
 
@@ -35,7 +34,7 @@ class PictureMapFile(LandmarksFile):
     cells: tuple[Cells, Cells] = Field(description="cells along a face of the fine and of the coarse picture")
 
 
-def lines(header: list[str], made: PictureMap, _: None) -> list[str]:
+def lines(header: list[str], made: PictureMap) -> list[str]:
     """Return the lines of a file."""
     data = b"".join(_packed(picture) for picture in (made.fine, made.coarse))
     block = base64.b64encode(zlib.compress(data)).decode()
@@ -51,12 +50,6 @@ def lines(header: list[str], made: PictureMap, _: None) -> list[str]:
         "picture: |",
         *(f"  {block[k : k + _MAX_LINE_CHARACTERS]}" for k in range(0, len(block), _MAX_LINE_CHARACTERS)),
     ]
-
-
-def split(raw: bytes) -> tuple[bytes, bytes | None]:
-    """Return the bytes of a file before its picture, and those of the picture; None for a map of discs."""
-    text, key, block = raw.partition(_KEY)
-    return (text + b"\n", block) if key else (raw, None)
 
 
 def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap]:

@@ -11,14 +11,16 @@ import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
 
 from spheremouse.geometry.camera import MAX_PIXELS
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Size = tuple[int, int]  # px, width and height
 
@@ -57,6 +59,8 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
     `to_the_end` decodes the image once, coarsely if the format allows, to check that all of it is there. OpenCV decodes
     half an image without an error.
     """
+    from PIL import ExifTags, Image, UnidentifiedImageError  # cameras and films do not need it
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about large images and invalid tags
         Image.init()  # some formats are unknown before
@@ -90,7 +94,7 @@ class _RefusedError(OSError):
     pass
 
 
-def _check_size(picture: Image.Image, pixels: int) -> None:
+def _check_size(picture: "Image", pixels: int) -> None:
     width, height = picture.size
     if width * height > pixels:
         raise _too_large(px(picture.size), pixels)

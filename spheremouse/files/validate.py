@@ -36,7 +36,7 @@ class Part(BaseModel):
 class Provenance(BaseModel):
     """Date, version, photos and notes for people; the program does not read them."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(extra="allow", defer_build=True)
 
 
 def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:

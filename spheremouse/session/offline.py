@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from heapq import merge
 from itertools import chain, islice
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,9 @@ from spheremouse.output.counts import OutputCounter
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
-from spheremouse.wand.state import WandEpoch, WandState, WandTracker
-from spheremouse.wand.track import begin as begin_wand
-from spheremouse.wand.track import step as step_wand
+
+if TYPE_CHECKING:
+    from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 
 _NO_HUE = ("dark", "light")  # colours of a wand's discs that grey frames show as well
 
@@ -216,19 +216,22 @@ def track(
 
 
 def track_wand(
-    frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
-) -> Iterator[WandEpoch]:
+    frames: Iterable[Frame], tracker: "WandTracker", seed: int = 0, known: Known | None = None
+) -> "Iterator[WandEpoch]":
     """Track every frame; `known` has the poses of balls at the first one."""
+    from spheremouse.wand.state import WandEpoch
+    from spheremouse.wand.track import begin, step
+
     state: WandState | None = None
     for frame in frames:
         check_wand_frame(frame, tracker)
-        state = state or begin_wand(tracker, seed, frame.stamp, known)
+        state = state or begin(tracker, seed, frame.stamp, known)
         start = time.perf_counter()
-        state, estimate, _ = step_wand(state, frame, tracker)
+        state, estimate, _ = step(state, frame, tracker)
         yield WandEpoch(frame, state, estimate, time.perf_counter() - start)
 
 
-def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:
+def check_wand_frame(frame: Frame, tracker: "WandTracker") -> None:
     """Raise SourceError if a frame has another size than the camera's, or lacks the colour that the balls need."""
     check_size(frame, tracker.camera)
     if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):

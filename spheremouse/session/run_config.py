@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from spheremouse import capture as sources
 from spheremouse import output as outputs
@@ -20,20 +20,21 @@ from spheremouse.files.ball_map import map_path
 from spheremouse.files.exchange import read_saved
 from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig
-from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.cameras import is_camera
 from spheremouse.session.settings import Configuration
-from spheremouse.wand.ball import WandBall
-from spheremouse.wand.settings import ColourSettings
+
+if TYPE_CHECKING:
+    from spheremouse.wand.ball import WandBall
+    from spheremouse.wand.settings import ColourSettings
 
 
 @dataclass(frozen=True, slots=True)
 class Balls:
     """Balls in the order of their numbers, and the bounds of their colours."""
 
-    balls: tuple[WandBall, ...] = ()
-    colours: dict[str, ColourSettings] = field(default_factory=dict)
+    balls: "tuple[WandBall, ...]" = ()
+    colours: "dict[str, ColourSettings]" = field(default_factory=dict)
 
 
 def read_balls(files: Iterable[Path]) -> Balls:
@@ -47,6 +48,8 @@ def read_balls(files: Iterable[Path]) -> Balls:
     colours: dict[str, ColourSettings] = {}
     said_by: dict[str, Path] = {}
     for path in files:
+        from spheremouse.files.wand import load_wand  # no other tracker needs it
+
         file = load_wand(path)
         name = file.ball.name
         if name in named and not path.samefile(named[name]):  # a file that is named twice is of two equal balls
@@ -63,7 +66,7 @@ def read_balls(files: Iterable[Path]) -> Balls:
     return Balls(tuple(balls), colours)
 
 
-def with_distinct_names(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
+def with_distinct_names(balls: "tuple[WandBall, ...]") -> "tuple[WandBall, ...]":
     """Return the balls with numbers after names that several share, for messages."""
     names = [ball.name for ball in balls]
     return tuple(

@@ -15,16 +15,15 @@ from spheremouse.capture.lock import locked_camera
 from spheremouse.capture.replay import Replay
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.run_config import RunConfig, with_distinct_names
 from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
-from spheremouse.wand.ball import WandBall, grzonka_ball
 
 if TYPE_CHECKING:
+    from spheremouse.wand.ball import WandBall
     from spheremouse.wand.state import WandTracker
 
 
@@ -34,7 +33,7 @@ class Setup:
 
     source: Source | None = None  # None: a camera, which is opened again and again
     camera: InteriorOrientation | None = None  # of a wand's recording
-    balls: tuple[WandBall, ...] = ()
+    balls: "tuple[WandBall, ...]" = ()
     replay: Replay | None = None  # that plays the source, if people control it
     second: Source | None = None  # of the second camera, if there is one, and it is no camera
 
@@ -81,6 +80,7 @@ class Setup:
 
         Raises ConfigurationError if no file describes the camera, or if `wand.points` exceeds the number of balls.
         """
+        from spheremouse.wand.ball import grzonka_ball
         from spheremouse.wand.build import build
 
         settings = plan.configuration.wand
@@ -134,6 +134,8 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
         )
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
+    from spheremouse.files.dataset.wand import open_wand
+
     recording = open_wand(Path(argument))
     frames = read_frames(recording)
     stream = Stream(paced(frames) if realtime else frames, fps=recording.fps, count=recording.frames)

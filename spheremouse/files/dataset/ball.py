@@ -1,11 +1,12 @@
 """Read recordings: folders with the description of a device, the frames, and perhaps the truth.
 
-`open_dataset` and `frames.read_frames` read one, `write.dataset_folder` writes one. docs/datasets describes the format.
+`open_dataset` reads one with its truth, `open_frames` without, and `frames.read_frames` its frames.
+`write.dataset_folder` writes one. docs/datasets describes the format.
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -38,10 +39,16 @@ from spheremouse.geometry.rotation import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recording(Recorded):
-    """The checked description of a dataset."""
+class RecordedBall(Recorded):
+    """The checked description of a dataset, as far as a tracker may know it."""
 
     rig: Rig  # from rig.yaml, or from the geometry in scene.json: then all covariances are zero
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording(RecordedBall):
+    """The checked description of a dataset with its truth."""
+
     pose: Pose | None  # the true pose of the camera
     truth: Truth | None
     discs: DiscTruth | None
@@ -79,33 +86,52 @@ class _Scene(SceneEntry):
     truth_disc_directions: tuple[_Vector, ...] | None = None
 
 
+def open_frames(path: Path) -> RecordedBall:
+    """Read the description of a dataset folder as `open_dataset` does, and of its truth the stamps alone.
+
+    A table of discs takes longer to read than all else.
+    """
+    times, table = None, path / "truth.csv"
+    scene = read_description(path, _read_scene)
+    if table.exists():
+        times = _read_motion(table, MOTION_COLUMNS[:2], scene.frames)["t"]
+    return RecordedBall(**_known(path, scene, times))
+
+
 def open_dataset(path: Path | str) -> Recording:
     """Read and check the description of a dataset folder; DatasetError names the invalid file."""
     path = Path(path)
     scene = read_description(path, _read_scene)
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
-    stamps = read_stamps(path, scene.frames)
-    rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)
     directions = None
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
     return Recording(
-        path=path,
-        name=scene.name or path.name,
-        rig=rig,
-        camera=rig.camera,
-        truth_times=None if truth is None else truth.stamp,
-        fps=scene.fps,
-        frames=scene.frames,
-        exposure_s=scene.exposure_s,
+        **_known(path, scene, None if truth is None else truth.stamp),
         pose=_pose(f"{path / 'scene.json'}: ", "truth_T_obj_cam", scene.truth_T_obj_cam),
         truth=truth,
         discs=discs,
         truth_directions=directions,
         turn=_turn(path, scene),
-        stamps=stamps,
     )
+
+
+def _known(path: Path, scene: _Scene, truth_times: Array | None) -> dict[str, Any]:
+    """Return the fields of `RecordedBall`."""
+    stamps = read_stamps(path, scene.frames)
+    rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)
+    return {
+        "path": path,
+        "name": scene.name or path.name,
+        "camera": rig.camera,
+        "fps": scene.fps,
+        "frames": scene.frames,
+        "exposure_s": scene.exposure_s,
+        "stamps": stamps,
+        "truth_times": truth_times,
+        "rig": rig,
+    }
 
 
 def _turn(path: Path, scene: _Scene) -> Array:
@@ -186,11 +212,17 @@ def _pose(place: str, key: str, matrix: _Matrix4 | None) -> Pose | None:
 
 
 def _read_truth(path: Path, frames: int) -> Truth:
-    table = read_columns(path, MOTION_COLUMNS, most=frames)
-    check_frames(path, table, frames)
-    check_times(path, table["t"])
+    table = _read_motion(path, MOTION_COLUMNS, frames)
     attitude = rotations(path, table, MATRIX_COLUMNS)
     return Truth(table["t"], attitude, np.stack([table[c] for c in ("wx", "wy", "wz")], axis=1))
+
+
+def _read_motion(path: Path, columns: tuple[str, ...], frames: int) -> dict[str, Array]:
+    """Read columns of truth.csv, with frame and t. Raises DatasetError unless they increase with the rows."""
+    table = read_columns(path, columns, most=frames)
+    check_frames(path, table, frames)
+    check_times(path, table["t"])
+    return table
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:

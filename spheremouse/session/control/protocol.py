@@ -47,7 +47,7 @@ def _picture_name(text: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_plain_name)]
-_MODEL = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+_MODEL = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class Request(BaseModel):

@@ -38,7 +38,7 @@ Counts = Annotated[list[int], Field(min_length=3, max_length=3)]  # x, y, third 
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True)
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, defer_build=True)
 
 
 class Quantiles(_Part):

@@ -16,9 +16,9 @@ from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project_circle, sphere_outline
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Status
-from spheremouse.wand.ball import WandBall
 
 if TYPE_CHECKING:
+    from spheremouse.wand.ball import WandBall
     from spheremouse.wand.state import WandPose
 
 Plain = dict[str, Any]
@@ -92,7 +92,7 @@ def _masked(state: TrackState) -> Array:
     return state.detections.centre[near.any(axis=1)]
 
 
-def of_balls(balls: Iterable[tuple[WandBall, "WandPose"]], points: int, camera: InteriorOrientation) -> Plain:
+def of_balls(balls: Iterable["tuple[WandBall, WandPose]"], points: int, camera: InteriorOrientation) -> Plain:
     """Return outlines and discs of balls in a hand. The ball `points` has the outline, the others have `others`."""
     marks: Plain = {"detected": [], "predicted": [], "others": []}
     for k, (ball, pose) in enumerate(balls):
@@ -112,7 +112,9 @@ def of_balls(balls: Iterable[tuple[WandBall, "WandPose"]], points: int, camera: 
     return marks
 
 
-def _whole_discs(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
+def _whole_discs(
+    ball: "WandBall", position: Array, rotation: Array, camera: InteriorOrientation
+) -> tuple[Array, Array]:
     """Return centres (k, 2) px and shapes (k, 2, 2) px² of the discs whose rims face the camera as a whole."""
     angle = np.array([disc.angle for disc in ball.discs])
     normal = np.array([disc.direction for disc in ball.discs]).reshape(-1, 3) @ rotation.T

@@ -10,8 +10,9 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array, from_euler
+from spheremouse.settings import option_name
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bumped, displaced, facing
-from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds, option_name
+from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds
 from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,

@@ -113,11 +113,6 @@ class StillsOptions:
     discs: int | None = param(None, "-", "Discs on the ball.  [default: 50, or as --like]", ge=1)
 
 
-def option_name(field: str) -> str:
-    """Return the command-line option of a field."""
-    return "--" + field.replace("_", "-")
-
-
 def check_bounds(options: Any, named: Named) -> None:
     """Raise ConfigurationError unless all numbers that are set are finite and within the bounds of their fields."""
     for field in fields(options):

@@ -12,8 +12,9 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
+from spheremouse.settings import option_name
 from spheremouse.simulate.ball.film import MOST_FRAMES
-from spheremouse.simulate.ball.options import Named, check_bounds, option_name
+from spheremouse.simulate.ball.options import Named, check_bounds
 from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import DRIVE_SPEED, HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light

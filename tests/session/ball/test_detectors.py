@@ -46,7 +46,7 @@ class Watched(NamedTuple):
 @pytest.fixture(params=FILMS)
 def name(request, monkeypatch):
     if request.param == "beacons":
-        monkeypatch.setitem(DETECTORS, "texture", Choice(Beacons(), SO3))
+        monkeypatch.setitem(DETECTORS, "texture", lambda: Choice(Beacons(), SO3))
     return request.param
 
 
@@ -123,7 +123,7 @@ def test_status_marks_and_log_show_its_points_in_its_words(name):
     assert sum(mark["used"] for mark in detected) == seen.discs[-1]
     assert all(ball[round(mark["y"]), round(mark["x"])] for mark in detected)
     assert f" {words.parts} in view" in seen.log
-    others = {choice.detector.words.parts for choice in DETECTORS.values()} - {words.parts}
+    others = {choice().detector.words.parts for choice in DETECTORS.values()} - {words.parts}
     assert not any(other in seen.log for other in others)
 
 
