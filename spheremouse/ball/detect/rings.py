@@ -23,6 +23,8 @@ _MAX_MEASURED_PICTURE_AREAS = 2.0  # areas of the picture that are measured in a
 _MEDIAN_PX = 3  # width of the median filter of a picture; it removes salt and keeps thin rings
 _OPENING_PX = 3  # width of the opening of a colour's mask; not more than a ring is wide
 _FEW_PAIRS = 1 << 16  # of spots, all compared: in 2 ms
+_MIN_PIXELS_OF_COLOUR = 4  # on each side of an edge
+_MIN_CONTRAST = 10.0  # grey levels between the colours beside an edge
 _EDGE_BAND_HALF_WIDTH_PX = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
@@ -274,34 +276,38 @@ def _measure(image: Image, nest: Candidate, proportion: Array) -> tuple[Array, f
     centre.
     """
     x0, y0, x1, y1 = nest.window
-    half, axes = nest.half, nest.axes
-    patch = image[y0:y1, x0:x1].astype(float)
-    grid = np.stack(np.meshgrid(np.arange(patch.shape[1]) + x0, np.arange(patch.shape[0]) + y0), axis=-1)
-    scale = float(np.sqrt(half[0] * half[1]))
-    centre = nest.middle
-    centres = []
-    area = 0.0
+    patch, centre = image[y0:y1, x0:x1].reshape(-1, 3), nest.middle
+    pixels = np.stack(np.meshgrid(np.arange(x0, x1, dtype=float), np.arange(y0, y1)), axis=-1).reshape(-1, 2)
+    scale = float(np.sqrt(nest.half[0] * nest.half[1]))
+    edges = proportion * scale
+    rings = np.append(np.diff(edges, prepend=0.0), np.inf)
+    width = np.minimum(_EDGE_BAND_HALF_WIDTH_PX, np.minimum(rings[:-1], rings[1:]) / 3)
+    bands = edges + np.outer([-2.0, -1.0, 1.0, 2.0], width)  # colour A up to the second, B from the third
+    bands[0, 0] = -1.0
+    area, centres = 0.0, np.zeros((3, 2))
     for _ in range(2):  # the second pass places the bands by the first one's centre
-        rho = np.linalg.norm((grid - centre) @ axes.T / half, axis=-1) * scale  # px, 0 at the centre, scale on the rim
-        edges = proportion * scale
-        centres = []
-        for k, edge in enumerate(edges):
-            ring_in = edge - (edges[k - 1] if k else 0.0)
-            ring_out = edges[k + 1] - edge if k < 2 else np.inf
-            width = min(_EDGE_BAND_HALF_WIDTH_PX, ring_in / 3, ring_out / 3)
-            inside = (rho < edge - width) & (rho > (edge - 2 * width if k else -1.0))
-            outside = (rho > edge + width) & (rho < edge + 2 * width)
-            if np.count_nonzero(inside) < 4 or np.count_nonzero(outside) < 4:
+        rho = np.hypot(*(scale / nest.half[:, None] * nest.axes @ (pixels - centre).T))  # px, `scale` on the rim
+        outwards = np.argsort(rho)
+        ends = np.searchsorted(rho[outwards], bands)
+        colours, places = patch[outwards], pixels[outwards]
+        for k, (a, b, c, d) in enumerate(ends.T):
+            if b - a < _MIN_PIXELS_OF_COLOUR or d - c < _MIN_PIXELS_OF_COLOUR:
                 return None
-            A, B = np.median(patch[inside], axis=0), np.median(patch[outside], axis=0)
+            A, B = _median(colours[a:b]), _median(colours[c:d])
             contrast = A - B
-            if contrast @ contrast < 100.0:
+            if contrast @ contrast < _MIN_CONTRAST**2:
                 return None
-            cover = np.clip((patch - B) @ contrast / (contrast @ contrast), 0.0, 1.0)
-            cover = np.where(rho < edge - width, 1.0, np.where(rho > edge + width, 0.0, cover))
-            area = float(cover.sum())
-            centres.append(np.tensordot(cover, grid, axes=([0, 1], [0, 1])) / area)
+            cover = np.clip((colours[b:c] - B) @ contrast / (contrast @ contrast), 0.0, 1.0)
+            area = float(b + cover.sum())
+            centres[k] = (places[:b].sum(axis=0) + cover @ places[b:c]) / area
         centre = np.mean(centres, axis=0)
-    if np.max(np.ptp(np.array(centres), axis=0)) > 0.5 + 0.1 * scale:
+    if np.max(np.ptp(centres, axis=0)) > 0.5 + 0.1 * scale:
         return None
     return centre, float(np.sqrt(area / np.pi))
+
+
+def _median(colours: Image) -> Array:
+    """Return the median of n colours, (n, 3), by channel. `np.median` takes five times as long."""
+    low, high = (len(colours) - 1) // 2, len(colours) // 2
+    parts = np.partition(colours, (low, high), axis=0)
+    return 0.5 * (parts[low].astype(float) + parts[high])
