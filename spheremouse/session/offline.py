@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from heapq import merge
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.cameras import begin_all
-from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
@@ -67,14 +68,16 @@ def initialise(
     last_text: str | None = None
     passed = 0
     while True:
-        views = list(islice(frames, settings.pose.frames))
+        views, searches = list[Frame](), list[Future[TargetDetections]]()
+        with ThreadPoolExecutor(1) as searcher:  # searches a view while the next one is read
+            for view in islice(frames, settings.pose.frames):
+                check_size(view, rig.camera)
+                views.append(view)
+                searches.append(searcher.submit(detect_targets, _colour(view), rig.targets.radii, settings.rings))
         if not views:
             raise PoseError(last_text or "the source gave no frame")
-        for view in views:
-            check_size(view, rig.camera)
         try:
-            seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
-            resection = find_pose(seen, rig, views[0].image)
+            resection = find_pose([search.result() for search in searches], rig, views[0].image)
         except PoseError as e:
             if str(e) != last_text:
                 last_text = str(e)
