@@ -119,6 +119,8 @@ def spheremouse(
 def main() -> NoReturn:
     """Run a command, and turn an exception into a message and an exit code. This is the entry point."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # our own errors name the problems of a file
+    # There are none, and pydantic would read the metadata of each installed package to find them
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
         signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so no file is left half written
     try:
