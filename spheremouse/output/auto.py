@@ -27,7 +27,7 @@ def open(argument: str) -> Output:
             failures.append(str(e))
             continue
         spec = f"{kind}:{whole}" if whole else kind
-        print(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else ""), file=sys.stderr)
+        sys.stderr.write(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else "") + "\n")
         return output
     raise OutputError(f"auto: found no mouse. {' | '.join(failures)}")
 

@@ -1,5 +1,6 @@
 """Send reports as datagrams, to a receiver that may start and stop at any time."""
 
+import contextlib
 import socket
 
 from spheremouse.errors import OutputError
@@ -16,10 +17,15 @@ class DatagramOutput(Output):
     def __init__(self, name: str, host: str, port: int) -> None:
         """Open a socket. The host may be a broadcast address; `name` begins each message of an error."""
         self._name = name
-        family, self._address = resolve(name, host, port, socket.SOCK_DGRAM)
+        family, address = resolve(name, host, port, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)  # noqa: FBT003  the parameter has no name
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        try:  # so the system finds the route once, not for each datagram
+            self._socket.connect(address)
+        except OSError as e:
+            self._socket.close()
+            raise self._error(e) from None
 
     def datagrams(self, report: Report) -> list[bytes]:
         """Return the datagrams of a report."""
@@ -29,11 +35,22 @@ class DatagramOutput(Output):
         """Send the datagrams. One that the system's buffer does not hold is lost."""
         for datagram in self.datagrams(report):
             try:
-                self._socket.sendto(datagram, self._address)
+                self._send(datagram)
             except BlockingIOError:
                 continue
             except OSError as e:
-                raise OutputError(f"{self._name}: cannot be sent: {e.strerror or e}") from None
+                raise self._error(e) from None
+
+    def _send(self, datagram: bytes) -> None:
+        """Send a datagram, even if the system reports that nobody received an earlier one."""
+        try:
+            self._socket.send(datagram)
+        except ConnectionError:
+            with contextlib.suppress(ConnectionError):
+                self._socket.send(datagram)
+
+    def _error(self, error: OSError) -> OutputError:
+        return OutputError(f"{self._name}: cannot be sent: {error.strerror or error}")
 
     def close(self) -> None:
         """Close the socket."""

@@ -146,7 +146,7 @@ class LineServer(Server[Client], Output):
         self.greeting = self.encode(form.header) if form.header else b""
         listener = bind(name, host, port)
         if not listener.getsockname()[0].startswith(("127.", "::1")):
-            print(f"{name}: other computers can connect, without a password or encryption", file=sys.stderr)
+            sys.stderr.write(f"{name}: other computers can connect, without a password or encryption\n")
         super().__init__(name, listener, connect)
 
     def encode(self, line: bytes) -> bytes:

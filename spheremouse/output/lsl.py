@@ -25,7 +25,7 @@ class Lsl(Output):
         self._name, self._pylsl = name, _pylsl()
         self._outlet: Any = None
         self._channels: list[int] = []  # their places in a row
-        print(f"lsl:{name}: other computers can receive the stream, without encryption", file=sys.stderr)
+        sys.stderr.write(f"lsl:{name}: other computers can receive the stream, without encryption\n")
 
     def send(self, report: Report) -> None:
         """Send a sample for each ball."""

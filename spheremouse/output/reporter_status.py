@@ -24,10 +24,7 @@ class LatencyLog:
 
     def __init__(self) -> None:
         self._seconds = deque[float](maxlen=LATENCY_COUNT)
-
-    def add(self, seconds: float) -> None:
-        """Add a latency, s."""
-        self._seconds.append(seconds)
+        self.add = self._seconds.append  # takes a latency, s
 
     def summary(self) -> Latency | None:
         """Return quantiles and maximum; None before the first frame."""

@@ -82,7 +82,8 @@ class StatusLine:
     def log(self, text: str) -> None:
         """Print one or more lines, which stay."""
         if self._live is None:
-            print(text, file=sys.stderr)
+            # `print` writes the line's end separately, so the lines of two threads could mix.
+            sys.stderr.write(f"{text}\n")
         else:
             self._live.console.print(text, soft_wrap=True)
 

@@ -81,6 +81,13 @@ def test_the_counts_are_those_of_the_ball_that_points():
     assert [line["ball"] for line in lines] == [1, 2, 3]
 
 
+def test_outputs_with_the_same_counts_share_a_text():
+    sample = Sample(estimate(1))
+    text = to_json(sample, (1, 2, 3))
+    assert to_json(sample, (1, 2, 3)) is text
+    assert json.loads(to_json(sample, (4, 5, 6))) == json.loads(text) | {"counts": [4, 5, 6]}
+
+
 def read_back(sample):
     return from_object(json.loads(to_json(sample, (0, 0, 0))))
 

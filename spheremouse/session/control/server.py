@@ -50,6 +50,7 @@ PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "c
 
 _DISCONNECTION_CHECK_S = 0.1  # s between two checks for a disconnected client
 _MAX_LAST_REPLIES_S = 0.5  # s in which the last replies are sent at the end
+_FEW_SUBSCRIBERS = 8  # sending to more takes so long that the tracker must not wait
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,6 @@ class ControlServer:
         self._stack = contextlib.ExitStack()
         self._listener = self._stack.enter_context(socket_file.listening(path, settings.group))
         self._loop = asyncio.new_event_loop()
-        self._reports: deque[Report] = deque()  # that the thread has not sent yet
         self._waking, self._wake = socket.socketpair()  # a third less processor time than `call_soon_threadsafe`
         for end in (self._waking, self._wake):
             end.setblocking(False)  # noqa: FBT003  the parameter has no name
@@ -115,12 +115,15 @@ class ControlServer:
             self._call(self._publish, event)
 
     def submit(self, report: Report) -> None:
-        """Send the samples of a frame to the clients that subscribe, from any thread. It never blocks.
+        """Send the samples of a frame to the clients that subscribe, from any thread. It never waits for one.
 
         A slow client loses its oldest samples and gets their number with the next one.
         """
-        if self._subscribers:
-            self._reports.append(report)
+        subscribers = self._subscribers
+        if not subscribers:
+            return
+        lines, few = json_lines(report), len(subscribers) <= _FEW_SUBSCRIBERS
+        if [client for client in subscribers if not client.push_samples(lines, at_once=few)]:
             with contextlib.suppress(OSError):  # full, so the thread wakes anyway, or closed
                 self._wake.send(b"\0")
 
@@ -161,11 +164,10 @@ class ControlServer:
                 client.push(event)
 
     def _send_samples(self) -> None:
+        """Have the tasks of the subscribers send the samples that wait."""
         self._waking.recv(4096)
-        while self._reports:
-            lines = json_lines(self._reports.popleft())
-            for client in self._subscribers:
-                client.push_samples(lines)
+        for client in self._subscribers:
+            client.has_events.set()
 
     # ---- one client ----
 
@@ -257,7 +259,7 @@ class ControlServer:
         client.watching = self._loop.create_task(self._send_events(client, request.interval))
 
     def _subscribe(self, client: "_Client", *, wanted: bool) -> None:
-        client.subscribed = wanted
+        client.subscribe(wanted=wanted)
         self._subscribers = tuple(other for other in self._clients.values() if other.subscribed)
 
     async def _send_events(self, client: "_Client", interval: float) -> None:
@@ -292,13 +294,30 @@ class _Client:
         self.trusted = self.uid in (own, 0)
         self.busy = False  # a request is under way
         self.watching: asyncio.Task[None] | None = None
-        self.subscribed = False  # to samples
+        self._lock = threading.Lock()  # of the lines and samples below, and of what is written
+        self._direct: socket.socket | None = None  # to send samples from other threads; None: not subscribed
+        self._idle = True  # the system has all that was written
+        self._rest = b""  # of a line that the system took in part
         self.has_events = asyncio.Event()  # events or samples wait
         self._events: deque[dict[str, Any]] = deque(maxlen=limits.events)
         self._samples: deque[bytes] = deque(maxlen=limits.samples)  # JSON objects
         self._dropped = 0  # samples
         self._ring: PictureRing | None = None  # whose memory the client has
         writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
+
+    @property
+    def subscribed(self) -> bool:
+        """True if the client gets samples."""
+        return self._direct is not None
+
+    def subscribe(self, *, wanted: bool) -> None:
+        """Start or stop sending samples."""
+        with self._lock:
+            if wanted == self.subscribed:
+                return
+            if self._direct is not None:
+                self._direct.close()
+            self._direct = self._socket.dup() if wanted else None
 
     @property
     def has_gone(self) -> bool:
@@ -343,15 +362,17 @@ class _Client:
         """Send an event or else a sample, if one waits."""
         if self._events:
             await self.send(self._events.popleft())
-        elif self._samples:
-            await self._write(self._sample_line(self._samples.popleft()))
+        elif self._rest or self._samples:
+            with self._lock:
+                line = self._sample_line(self._samples.popleft()) if self._samples else b""
+            await self._write(line)
         else:
             self.has_events.clear()
 
     async def _send_memory(self, line: bytes, memory: int) -> int:
         """Send a descriptor with a line (SCM_RIGHTS), which streams of asyncio cannot. Return the bytes sent."""
         try:
-            while self._writer.transport.get_write_buffer_size():  # another task's line
+            while not self._take_turn():  # another line is under way
                 await self._write(b"")
             with self._socket.dup() as connection:
                 return socket.send_fds(connection, [line], [memory])
@@ -361,36 +382,54 @@ class _Client:
         finally:
             os.close(memory)
 
+    def _take_turn(self) -> bool:
+        """Return True if the system has all lines; then no other thread sends until `_write` has ended."""
+        with self._lock:
+            idle, self._idle = self._idle and not self._rest, False
+        return idle
+
     async def _write(self, line: bytes) -> None:
-        self._writer.write(line)
+        with self._lock:
+            line, self._rest, self._idle = self._rest + line, b"", False
+            self._writer.write(line)
         try:
             async with asyncio.timeout(None if self.subscribed else self._limits.stalled):
                 await self._writer.drain()
         except TimeoutError:
             self.drop()
             raise
+        with self._lock:
+            self._idle = not self._writer.transport.get_write_buffer_size()
 
     def push(self, event: dict[str, Any]) -> None:
         """Add an event; if too many wait, the oldest is dropped."""
         self._events.append(event)
         self.has_events.set()
 
-    def push_samples(self, samples: list[bytes]) -> None:
-        """Send samples, as JSON objects, or add them if the client has not read all before.
+    def push_samples(self, samples: list[bytes], *, at_once: bool) -> bool:
+        """Send samples, as JSON objects, from any thread. Return False if the client's task must send them.
 
-        If too many wait, the oldest are dropped and counted.
+        They wait unless they are to be sent `at_once` and the client has read all before. If too many wait, the oldest
+        are dropped and counted.
         """
-        if not (self._events or self._samples or self._writer.transport.get_write_buffer_size()):
-            return self._writer.write(b"".join(map(self._sample_line, samples)))  # without the task, which costs more
-        self._dropped += max(0, len(self._samples) + len(samples) - self._limits.samples)
-        self._samples.extend(samples)
-        self.has_events.set()
+        with self._lock:
+            if at_once and self._direct is not None and self._idle and not (self._rest or self._samples):
+                data, sent = b"".join(map(self._sample_line, samples)), 0
+                with contextlib.suppress(OSError):  # full, or disconnected, which the client's task notices
+                    sent = self._direct.send(data)
+                self._rest = data[sent:] if sent else b""
+                if sent:
+                    return not self._rest
+            self._dropped += max(0, len(self._samples) + len(samples) - self._limits.samples)
+            self._samples.extend(samples)
+            return False
 
     def _sample_line(self, sample: bytes) -> bytes:
         return b'{"event":"sample","dropped":%d,"sample":%b}\n' % (self._dropped, sample.rstrip(b"\n"))
 
     def drop(self) -> None:
         """Disconnect at once."""
+        self.subscribe(wanted=False)
         self._writer.transport.abort()
 
 

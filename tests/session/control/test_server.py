@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from control_world import FINE, OTHER, PAGE, STATUS, Daemon, Wire, a_group, answer, conversations
-from reporting import until
+from reporting import PATIENCE, until
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ControlError
@@ -265,6 +265,26 @@ def test_every_subscriber_gets_all_samples_and_other_watchers_get_none(serve, pa
     server.submit(turning(100))
     server.publish({"event": "log", "text": "no sample before this"})
     assert wires[0].read() == {"event": "log", "text": "no sample before this"}
+
+
+def test_samples_do_not_wait_for_the_thread_that_answers_requests(serve, path):
+    begun, may_end = threading.Event(), threading.Event()
+
+    def handle(pending):
+        if pending.request.command == "pause":
+            begun.set()
+            may_end.wait(PATIENCE)
+        answer(pending)
+
+    server = serve(handle)
+    wire, other = subscribed(path), Wire(path)
+    other.send('{"command": "pause"}\n')
+    assert begun.wait(PATIENCE)
+    for k in range(3):
+        server.submit(turning(k))
+        assert wire.read()["sample"]["sequence"] == k
+    may_end.set()
+    assert other.read()["command"] == "pause"
 
 
 def test_the_end_is_no_error_of_a_watcher(serve, path):
