@@ -90,26 +90,42 @@ def far26() -> Path:
     return datasets_dir() / "far26"
 
 
+class Program:
+    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
+
+    def __init__(self, monkeypatch, capfd):
+        self._monkeypatch, self._capfd = monkeypatch, capfd
+
+    def __call__(self, *words):
+        self._capfd.readouterr()
+        self._monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code or 0, *self._capfd.readouterr()
+
+    def succeed(self, *words):
+        """Return standard output and error of a run that must succeed."""
+        code, out, err = self(*words)
+        assert code == 0, err
+        return out, err
+
+    def fail(self, *words):
+        """Return what a run says that must be refused in one line, before it prints anything."""
+        code, out, err = self(*words)
+        assert (code, out, err.count("\n"), err.partition(": ")[0]) == (2, "", 1, "spheremouse"), err
+        return err.removeprefix("spheremouse: ").removesuffix("\n")
+
+
 @pytest.fixture
 def spheremouse(monkeypatch, capfd):
-    """Runs the program in this process: (*words) -> exit code, standard output, standard error.
+    """The program, without what it would ask of the system for the whole process.
 
-    What it would ask of the system for the whole process is not for the tests after it: real-time scheduling, locked
-    memory, code folded up.
+    That is not for the tests after it: real-time scheduling, locked memory, code folded up.
     """
     monkeypatch.setattr(realtime, "prepare", lambda wanted=True: "as it is")
     monkeypatch.setattr(realtime, "claim", lambda _: False)
     before = {s: signal.getsignal(s) for s in _SIGNALS}
-
-    def run(*words):
-        capfd.readouterr()
-        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        out, err = capfd.readouterr()
-        return end.value.code or 0, out, err
-
-    yield run
+    yield Program(monkeypatch, capfd)
     for number, handler in before.items():
         signal.signal(number, handler)
 

@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from control_world import answer
-from invoking import invoke
+from invoking import succeed
 
 import spheremouse as sm
 from spheremouse.commands import app
@@ -68,7 +68,7 @@ def test_the_import_alone_loads_no_other_package(module, packages):
 
 def test_the_example_of_the_readme_runs_as_written(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert invoke(app, "simulate", "demo/roll", "--motion", "roll", "--seconds", "0.5")[0] == 0
+    succeed(app, "simulate", "demo/roll", "--motion", "roll", "--seconds", "0.5")
     capsys.readouterr()
     for page in ("README.md", "docs/python.md"):
         example = re.search(r"^```python\n(import spheremouse.+?)^```", (ROOT / page).read_text(), re.M | re.S)
@@ -82,7 +82,7 @@ def test_the_example_of_the_readme_runs_as_written(tmp_path, monkeypatch, capsys
 def test_samples_are_those_that_the_command_writes(recording, samples, tmp_path):
     for words, made in (((), samples), (("--smooth",), sm.smooth(samples))):
         file = tmp_path / f"{len(words)}.jsonl"
-        assert invoke(app, "track", CLIP, *words, "--output", f"text:{file}")[0] == 0
+        succeed(app, "track", CLIP, *words, "--output", f"text:{file}")
         written = [json.loads(line) for line in file.read_text().splitlines()]
         assert len(written) == len(made) == recording.frames
         for line, sample in zip(written, made, strict=True):
@@ -91,7 +91,7 @@ def test_samples_are_those_that_the_command_writes(recording, samples, tmp_path)
 
 def test_the_report_is_that_of_the_command(recording, tmp_path):
     file = tmp_path / "report.json"
-    assert invoke(app, "evaluate", CLIP, "--smooth", "--json", file)[0] == 0
+    succeed(app, "evaluate", CLIP, "--smooth", "--json", file)
     for smooth, report in zip((False, True), json.loads(file.read_text()), strict=True):
         assert without_times(sm.evaluate(recording, smooth=smooth)) == without_times(report)
 

@@ -1,6 +1,7 @@
 """Bounds: every number that a person may write has two, and what lies within them works together."""
 
 import pytest
+from invoking import refusal
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
@@ -83,10 +84,7 @@ def test_the_defaults_lie_within_their_bounds():
     ],
 )
 def test_what_would_not_work_is_refused_in_one_line(assignment, says):
-    with pytest.raises(ConfigurationError) as e:
-        config.override(Configuration(), assignment)
-    assert "\n" not in str(e.value)
-    assert says in str(e.value)
+    assert says in refusal(ConfigurationError, config.override, Configuration(), assignment)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,9 @@ CameraFile = Annotated[
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", metavar="FILE", help="Configuration file; see `spheremouse config`.")
 ]
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 RigFile = Annotated[
     Path | None, typer.Option("--rig", metavar="FILE", help="The device as calibrated, in place of the recording's.")

@@ -1,7 +1,7 @@
 """Film of a ball with a pattern, for the commands that need no calibration."""
 
 import pytest
-from invoking import invoke
+from invoking import succeed
 
 from spheremouse.commands import app
 
@@ -10,5 +10,5 @@ from spheremouse.commands import app
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("film") / "speckle"
     words = ("--pattern", "speckle", "--motion", "play", "--seconds", 4, "--noise", 4, "--size", "320x240")
-    assert invoke(app, "simulate", folder, *words)[0] == 0
+    succeed(app, "simulate", folder, *words)
     return folder

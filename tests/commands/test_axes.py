@@ -21,8 +21,7 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(spheremouse, t
     """The film shows 60° right, away, and counter-clockwise, as somebody opposite the camera does it."""
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\nmotion:\n  player: left  # guessed\n  invert_y: true\n")
-    code, out, err = spheremouse("axes", "--config", file, "--source", FILM)
-    assert code == 0, err
+    out, _ = spheremouse.succeed("axes", "--config", file, "--source", FILM)
     assert "understood: you stand on the far side of the ball, opposite the camera" in out
     assert out.count("seen: 60°") == 3
     assert out.splitlines()[-3:] == [
@@ -40,16 +39,13 @@ def test_the_directions_are_saved_into_a_profile_alone(spheremouse, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\nmotion: {player: left}\nprofiles:\n  doom: {motion.scale_x: 2}  # fast\n")
     for name in ("doom", "menu"):
-        code, _, err = spheremouse("axes", "--config", file, "--profile", name, "--source", FILM)
-        assert code == 0, err
+        spheremouse.succeed("axes", "--config", file, "--profile", name, "--source", FILM)
     saved = config.load(file, Configuration)
     assert saved.motion.player == "left"
     assert set(saved.profiles["doom"]) == {"motion.scale_x=2", "motion.player='far-side'"}
     assert saved.profiles["menu"] == ("motion.player='far-side'",)
     assert "# fast" in file.read_text()
-    code, _, err = spheremouse("axes", "--profile", "doom", "--source", FILM)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "--profile doom: needs --config FILE" in err
+    assert "--profile doom: needs --config FILE" in spheremouse.fail("axes", "--profile", "doom", "--source", FILM)
 
 
 @pytest.mark.slow
@@ -70,8 +66,8 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(spheremouse, t
 
 def test_who_cannot_save_hears_so_before_the_first_gesture(spheremouse, tmp_path):
     path = tmp_path / "no" / "config.yaml"
-    code, out, err = spheremouse("axes", "--config", path, "--source", FILM)
-    assert (code, out, err) == (2, "", f"spheremouse: {path}: cannot be written: there is no folder {path.parent}\n")
+    said = spheremouse.fail("axes", "--config", path, "--source", FILM)
+    assert said == f"{path}: cannot be written: there is no folder {path.parent}"
 
 
 @pytest.mark.slow

@@ -85,6 +85,4 @@ def test_the_command_prints_lines_and_writes_its_figures(spheremouse, tmp_path):
 
 
 def test_errors_are_one_line(spheremouse, tmp_path):
-    code, _, err = spheremouse("bench", tmp_path / "nothing")
-    assert (code, err.count("\n")) == (2, 1)
-    assert err.startswith(f"spheremouse: {tmp_path / 'nothing'}: no such folder")
+    assert spheremouse.fail("bench", tmp_path / "nothing").startswith(f"{tmp_path / 'nothing'}: no such folder")

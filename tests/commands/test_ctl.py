@@ -47,6 +47,9 @@ class Recorder(Daemon):
         self.asked.append(pending.request)
         super().__call__(pending)
 
+    def says(self, **status):
+        self.status = {**self.status, **status}
+
 
 @pytest.fixture
 def path(tmp_path_factory):
@@ -311,19 +314,14 @@ def test_an_import_sets_no_list_that_is_in_force():
 def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, daemon, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\n# of the hall\nmotion: {scale_y: 3}  # steep\n")
-    daemon.status = {
-        **daemon.status,
-        "saved": None,
-        "config": str(file),
-        "changes": ["motion.scale_x=2", "pointer.rate = 500"],
-    }
+    daemon.says(saved=None, config=str(file), changes=["motion.scale_x=2", "pointer.rate = 500"])
     code, out, err = ctl("save")
     assert (code, err) == (0, "")
     assert out == f"{file}: saved: motion.scale_x=2, pointer.rate = 500\n"
     assert file.read_text() == (
         "schema: 2\n# of the hall\nmotion: {scale_x: 2.0, scale_y: 3}  # steep\npointer:\n  rate: 500.0\n"
     )
-    daemon.status = {**daemon.status, "changes": []}
+    daemon.says(changes=[])
     before = file.read_text()
     assert ctl("save")[:2] == (0, f"{file}: nothing was set that is not in it\n")
     assert file.read_text() == before
@@ -331,7 +329,7 @@ def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, 
 
 def test_a_daemon_with_a_file_of_its_own_saves_there_itself(ctl, daemon, monkeypatch):
     monkeypatch.setattr(Client, "is_trusted", property(lambda client: False))
-    daemon.status = {**daemon.status, "changes": ["motion.scale_x=2"], "saved": []}
+    daemon.says(changes=["motion.scale_x=2"], saved=[])
     for words in (("save",), ("save", "--forget"), ("set", "motion.scale_x=2", "--save")):
         code, out, err = ctl(*words)
         assert (code, err) == (0, "")
@@ -345,7 +343,7 @@ def test_a_server_of_another_user_chooses_neither_the_file_nor_the_settings(ctl,
     theirs, ours = tmp_path / "theirs.yaml", tmp_path / "ours.yaml"
     theirs.write_text("schema: 2\n")
     ours.write_text("schema: 2\n")
-    daemon.status = {**daemon.status, "saved": None, "config": str(theirs), "changes": ["motion.scale_y=9"]}
+    daemon.says(saved=None, config=str(theirs), changes=["motion.scale_y=9"])
     monkeypatch.setattr(Client, "is_trusted", property(lambda client: False))
     for words in (("save",), ("save", "--config", str(ours)), ("set", "motion.scale_x=2", "--save")):
         code, out, err = ctl(*words)
@@ -367,7 +365,7 @@ def test_the_kernel_says_who_runs_the_server(path, daemon, monkeypatch):
 
 @pytest.mark.parametrize("config", [None, "/nowhere/config.yaml"])
 def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
-    daemon.status = {**daemon.status, "saved": None, "config": config}
+    daemon.says(saved=None, config=config)
     code, out, err = ctl("save")
     assert (code, out) == (1, "")
     assert err == "spheremouse: the daemon has no configuration file; start it with --config FILE to have one\n"
@@ -376,13 +374,7 @@ def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
 def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it_is_set(ctl, daemon, tmp_path):
     file = tmp_path / "config.yaml"
     file.write_text("schema: 2\n# of the hall\n")
-    daemon.status = {
-        **daemon.status,
-        "saved": None,
-        "config": str(file),
-        "changes": ["motion.scale_x=2"],
-        "given": ["motion.scale_y"],
-    }
+    daemon.says(saved=None, config=str(file), changes=["motion.scale_x=2"], given=["motion.scale_y"])
     code, out, err = ctl("set", "motion.scale_x=2", "--save")
     assert (code, err) == (0, "")
     applied = "configuration applied: motion.scale_x 1.0 → 2.0"

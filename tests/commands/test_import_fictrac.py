@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from invoking import invoke
+from invoking import fail, invoke, succeed
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.detect.appearance import ball_outline
@@ -72,8 +72,7 @@ def test_rates_are_those_of_the_truth_in_fictracs_axes(imported, recording, tmp_
     code, text, out = imported()
     assert code == 0, text
     data = tmp_path / "ball.dat"
-    code, text = invoke(app, "run", "--config", out / "config.yaml", "--output", f"text:{data},format=fictrac")
-    assert code == 0, text
+    text = succeed(app, "run", "--config", out / "config.yaml", "--output", f"text:{data},format=fictrac")
     columns, scene = read_columns(data), open_dataset(recording)
     frame = columns[:, 0].astype(int) - 1
     following = np.flatnonzero(np.diff(frame) == 1) + 1
@@ -166,7 +165,6 @@ def test_no_configuration_is_one_line(tmp_path):
     for path, content in ((tmp_path / "none.txt", None), (tmp_path / "a.txt", b"\xff\xfe\x00"), (tmp_path, None)):
         if content is not None:
             path.write_bytes(content)
-        code, text = invoke(app, "import-fictrac", path, "--out", tmp_path / "ball")
-        assert (code, len(text.splitlines())) == (2, 1), text
+        fail(app, "import-fictrac", path, "--out", tmp_path / "ball")
     (tmp_path / "b.txt").write_text("vfov 45\n")
     assert "b.txt:1: is no `key : value`" in invoke(app, "import-fictrac", tmp_path / "b.txt")[1]

@@ -9,6 +9,7 @@ from typing import Literal
 
 import pytest
 import typer
+from invoking import refusal
 from typer.testing import CliRunner
 
 from spheremouse.commands.options import with_fields
@@ -67,9 +68,7 @@ def test_what_is_typed_arrives_in_the_fields(run):
     ],
 )
 def test_a_word_that_is_written_otherwise_is_refused_with_an_example(run, words, message):
-    with pytest.raises(ConfigurationError) as refused:
-        run(*words)
-    assert str(refused.value) == message
+    assert refusal(ConfigurationError, run, *words) == message
 
 
 def test_help_tells_meaning_unit_bounds_and_default_of_every_field(run):

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from invoking import invoke
+from invoking import fail, succeed
 
 from spheremouse.calibrate.outline.fit import R_OBJ_CAM, pinhole
 from spheremouse.commands import app
@@ -84,9 +84,7 @@ def test_an_error_is_one_line_and_leaves_no_file(spheremouse, shot, tmp_path):
         ((source, "--set", "rings.nix=1"), "unknown key"),
     ):
         out = () if "--out" in words else ("--out", tmp_path / "p.png")
-        code, text, err = spheremouse("preview", *words, *out)
-        assert (code, text, len(err.splitlines())) == (2, "", 1)
-        assert said in err
+        assert said in spheremouse.fail("preview", *words, *out)
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -103,15 +101,13 @@ def clicks(recording):
 
 def test_a_film_without_a_calibration_is_tracked_in_the_axes_of_its_camera(recording, tmp_path):
     film, out = recording / "video.mkv", tmp_path / "ball"
-    code, text = invoke(app, "ball", film, "--out", out)
-    assert code == 0, text
+    text = succeed(app, "ball", film, "--out", out)
     assert "assumed: a field of view of 45° from top to bottom" in text
     assert "rotations across the view come out 2." in text
     assert sorted(p.name for p in out.iterdir()) == ["camera.yaml", "config.yaml", "outline.png", "rig.yaml"]
     assert load_camera(out / "camera.yaml").fy == pytest.approx(120.0 / np.tan(np.radians(22.5)))
     lines = tmp_path / "lines.jsonl"
-    code, text = invoke(app, "track", film, "--rig", out / "rig.yaml", "--output", f"text:{lines}")
-    assert code == 0, text
+    text = succeed(app, "track", film, "--rig", out / "rig.yaml", "--output", f"text:{lines}")
     samples = [json.loads(line) for line in lines.read_text().splitlines()]
     scene = open_dataset(recording)
     R = R_OBJ_CAM @ scene.pose.rotation.T  # the film's camera is rolled by 90° in the device's axes
@@ -125,16 +121,14 @@ def test_a_film_without_a_calibration_is_tracked_in_the_axes_of_its_camera(recor
 
 def test_a_recording_gives_its_camera_and_evaluate_turns_the_truth_into_the_axes_of_the_rig(recording, tmp_path):
     out, figures = tmp_path / "ball", tmp_path / "figures.json"
-    assert invoke(app, "ball", recording, "--out", out)[0] == 0
-    code, text = invoke(app, "evaluate", recording, "--rig", out / "rig.yaml", "--json", figures)
-    assert code == 0, text
+    succeed(app, "ball", recording, "--out", out)
+    succeed(app, "evaluate", recording, "--rig", out / "rig.yaml", "--json", figures)
     assert json.loads(figures.read_text())["rate_rmse_deg_s"]["combined"] < 5.0
 
 
 def test_points_by_hand_need_no_motion_and_find_the_same_ball(recording, tmp_path):
-    assert invoke(app, "ball", recording, "--out", tmp_path / "a")[0] == 0
-    code, text = invoke(app, "ball", recording, "--out", tmp_path / "b", "--points", clicks(recording))
-    assert code == 0, text
+    succeed(app, "ball", recording, "--out", tmp_path / "a")
+    succeed(app, "ball", recording, "--out", tmp_path / "b", "--points", clicks(recording))
     a, b = (load_rig(tmp_path / name / "rig.yaml").pose for name in "ab")
     off = b.position - a.position
     C = a.covariance[:3, :3] + b.covariance[:3, :3]
@@ -143,10 +137,8 @@ def test_points_by_hand_need_no_motion_and_find_the_same_ball(recording, tmp_pat
 
 def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
     points = clicks(recording).split()
-    code, text = invoke(app, "ball", recording, "--out", tmp_path / "a", "--points", *points)
-    assert code == 0, text
-    code, text = invoke(app, "ball", recording, "--out", tmp_path / "b", "--points", " ".join(points))
-    assert code == 0, text
+    succeed(app, "ball", recording, "--out", tmp_path / "a", "--points", *points)
+    succeed(app, "ball", recording, "--out", tmp_path / "b", "--points", " ".join(points))
     assert (tmp_path / "a" / "rig.yaml").read_text() == (tmp_path / "b" / "rig.yaml").read_text()
 
 
@@ -167,29 +159,23 @@ def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
 def test_a_wrong_request_is_one_line_with_a_remedy_and_writes_nothing(recording, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     save_camera(CAMERA, pinhole((640, 480), 45.0))
-    code, text = invoke(app, "ball", recording, "--out", tmp_path / "ball", *words)
-    assert code == 2
-    assert message in text
-    assert len(text.splitlines()) == 1
+    assert message in fail(app, "ball", recording, "--out", tmp_path / "ball", *words)
     assert not (tmp_path / "ball").exists()
 
 
 def test_a_folder_is_replaced_only_with_force_and_a_file_never(recording, tmp_path):
     out, words = tmp_path / "ball", ("--points", clicks(recording))
-    assert invoke(app, "ball", recording, "--out", out, *words)[0] == 0
+    succeed(app, "ball", recording, "--out", out, *words)
     before = (out / "rig.yaml").read_text()
-    code, text = invoke(app, "ball", recording, "--out", out, *words, "--vfov", 60)
-    assert (code, before) == (2, (out / "rig.yaml").read_text())
-    assert "there already; name another file, or replace it with --force" in text
-    assert invoke(app, "ball", recording, "--out", out, *words, "--vfov", 60, "--force")[0] == 0
+    said = fail(app, "ball", recording, "--out", out, *words, "--vfov", 60)
+    assert "there already; name another file, or replace it with --force" in said
+    assert before == (out / "rig.yaml").read_text()
+    succeed(app, "ball", recording, "--out", out, *words, "--vfov", 60, "--force")
     assert before != (out / "rig.yaml").read_text()
-    assert "is a file; name a folder" in invoke(app, "ball", recording, "--out", out / "rig.yaml", *words)[1]
+    assert "is a file; name a folder" in fail(app, "ball", recording, "--out", out / "rig.yaml", *words)
 
 
 def test_a_missing_film_and_a_film_without_a_rig_are_one_line(recording, tmp_path):
-    code, text = invoke(app, "ball", tmp_path / "none.mkv", "--out", tmp_path / "ball")
-    assert (code, len(text.splitlines())) == (2, 1)
-    assert "none.mkv: no such file; name a film" in text
-    code, text = invoke(app, "track", recording / "video.mkv", "--output", "null")
-    assert code == 2
-    assert "give its rig file with --rig" in text
+    said = fail(app, "ball", tmp_path / "none.mkv", "--out", tmp_path / "ball")
+    assert "none.mkv: no such file; name a film" in said
+    assert "give its rig file with --rig" in fail(app, "track", recording / "video.mkv", "--output", "null")

@@ -99,8 +99,7 @@ def video_frames(path):
 
 def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(spheremouse, roll, tmp_path):
     picture = tmp_path / "last.png"
-    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", "--output", "text:-", "--overlay", picture)
-    assert code == 0
+    out, err = spheremouse.succeed("run", "--source", f"dataset:{roll}", "--output", "text:-", "--overlay", picture)
     table = motions(out)
     recording = open_dataset(roll)
     assert len(table) == recording.frames
@@ -138,18 +137,12 @@ def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(sp
     save_rig(tmp_path / "rig.yaml", rig)
     save_camera(tmp_path / "other.yaml", replace(rig.camera, width=1280, height=960))
     source = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "text:-", *QUICK)
-    code, out, err = spheremouse(*source)
-    assert (code, out) == (2, "")
-    assert (
-        err
-        == f"spheremouse: video:{roll}/video.mkv: has no description of the device; give its rig file with --rig FILE\n"
-    )
+    said = spheremouse.fail(*source)
+    assert said == f"video:{roll}/video.mkv: has no description of the device; give its rig file with --rig FILE"
     code, out, _ = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--frames", "3")
     assert (code, len(motions(out))) == (0, 3)
-    code, _, err = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
-    assert code == 2
-    assert err.startswith("spheremouse: frame 0 is 640x480, the camera was calibrated at 1280x960: ")
-    assert err.count("\n") == 1
+    said = spheremouse.fail(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
+    assert said.startswith("frame 0 is 640x480, the camera was calibrated at 1280x960: ")
 
 
 # ---- the map of discs ----
@@ -166,14 +159,12 @@ def device(roll, tmp_path):
 
 def test_the_second_run_of_a_device_knows_the_attitude_from_its_first_frame(spheremouse, roll, device):
     words = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "text:-", "--rig", device, *QUICK)
-    code, first, err = spheremouse(*words)
-    assert code == 0
+    first, err = spheremouse.succeed(*words)
     file = device.with_name("rig.map.yaml")
     discs = len(load_map(file).map)
     assert discs >= 8
     assert f"map: {file}: {discs} discs saved\n" in err
-    code, again, err = spheremouse(*words)
-    assert code == 0
+    again, err = spheremouse.succeed(*words)
     assert f"map: {file}: {discs} discs, saved just now\n" in err
     assert re.search(r"^ +0\.0\d\d s  tracking: recognised by \d+ discs of the saved map$", err, re.MULTILINE)
     assert re.search(rf"^map: {re.escape(str(file))}: \d+ discs saved: {discs} discs stayed", err, re.MULTILINE)
@@ -187,8 +178,7 @@ def test_the_second_run_of_a_device_knows_the_attitude_from_its_first_frame(sphe
 def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(spheremouse, roll, device, tmp_path, live):
     path = tmp_path / "a.csv"
     words = ("--output", f"text:{tmp_path / 'a.txt'}", "--output", f"csv:{path}", "--rig", device, "--no-map")
-    code, _, err = spheremouse("run", "--source", f"dataset:{roll}", *words, "--frames", "20", *live, *QUICK)
-    assert code == 0, err
+    _, _err = spheremouse.succeed("run", "--source", f"dataset:{roll}", *words, "--frames", "20", *live, *QUICK)
     samples = [json.loads(line) for line in (tmp_path / "a.txt").read_text().splitlines()]
     table = pd.read_csv(path, comment="#").set_index("sequence")
     both = [s for s in samples if s["status"] == "tracking" and s["sequence"] in table.index]
@@ -211,18 +201,15 @@ def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(sphe
 def test_a_recording_is_replayed_without_a_map_unless_it_is_asked_for(spheremouse, roll, device, empty_folder):
     source = ("run", "--source", f"dataset:{roll}", "--output", "null", *QUICK)
     before = sorted(p.name for p in roll.iterdir())
-    code, _, err = spheremouse(*source, "--rig", device, "--frames", "3")
-    assert code == 0
+    _, err = spheremouse.succeed(*source, "--rig", device, "--frames", "3")
     assert "map" not in err
-    code, _, err = spheremouse(
+    _, err = spheremouse.succeed(
         "run", "--source", f"video:{roll / 'video.mkv'}", *source[3:], "--rig", device, "--no-map", "--frames", "3"
     )
-    assert code == 0
     assert "map" not in err
     assert [p.name for p in device.parent.iterdir()] == ["rig.yaml"]
     assert sorted(p.name for p in roll.iterdir()) == before
-    code, _, err = spheremouse(*source, "--map", "asked.yaml")
-    assert code == 0
+    _, err = spheremouse.succeed(*source, "--map", "asked.yaml")
     assert len(load_map(empty_folder / "asked.yaml").map) >= 8
 
 
@@ -245,19 +232,15 @@ def test_a_map_is_shown(spheremouse, empty_folder, roll):
 @pytest.mark.parametrize("level", [0, 255])
 def test_pictures_of_one_colour_are_refused_in_one_line(spheremouse, images, variant, level):
     flat = [np.full_like(f, level) for f in images[:3]]
-    code, out, err = spheremouse("run", "--source", f"dataset:{variant(flat)}", "--output", "text:-", *QUICK)
-    assert code == 2
-    assert len(motions(out)) == 0
-    assert err.startswith("spheremouse: 0 of 4 targets found (none), at least 3 are needed; missing: ")
-    assert err.count("\n") == 1
+    said = spheremouse.fail("run", "--source", f"dataset:{variant(flat)}", "--output", "text:-", *QUICK)
+    assert said.startswith("0 of 4 targets found (none), at least 3 are needed; missing: ")
 
 
 def test_views_with_too_few_targets_are_passed_over(spheremouse, images, variant):
     hidden = [f.copy() for f in images[:4]]
     for image in hidden[:2]:
         image[320:400, 220:300] = image[320:400, 490:580] = 90
-    code, out, err = spheremouse("run", "--source", f"dataset:{variant(hidden)}", "--output", "text:-", *QUICK)
-    assert code == 0
+    out, err = spheremouse.succeed("run", "--source", f"dataset:{variant(hidden)}", "--output", "text:-", *QUICK)
     assert len(motions(out)) == 2  # a recording is tracked from the first view that showed enough
     assert err.startswith(
         "views passed over: 2 of 4 targets found (YMC, CMY), at least 3 are needed; missing: MCY, CYM"
@@ -291,10 +274,8 @@ def test_a_truncated_recording_is_tracked_as_far_as_it_goes(spheremouse, images,
 )
 def test_a_slip_is_answered_in_one_line(spheremouse, roll, empty_folder, words, message):
     given = {"--source": f"dataset:{roll}", "--output": "text:-"} | dict([words])
-    code, out, err = spheremouse("run", *(w for pair in given.items() for w in pair))
-    assert (code, out) == (2, "")
-    assert err.startswith(f"spheremouse: {message}")
-    assert err.count("\n") == 1
+    said = spheremouse.fail("run", *(w for pair in given.items() for w in pair))
+    assert f"{said}\n".startswith(message)
     assert list(empty_folder.iterdir()) == []
 
 
@@ -387,8 +368,7 @@ def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
 
 
 def test_the_demo_writes_its_files_and_its_counts_are_the_true_ones(spheremouse, tmp_path):
-    code, out, err = spheremouse("demo", "--out", tmp_path / "demo", "--seconds", "2", "--seed", "1")
-    assert code == 0, err
+    out, err = spheremouse.succeed("demo", "--out", tmp_path / "demo", "--seconds", "2", "--seed", "1")
     for name, meaning in demo.FILES.items():
         assert re.search(f"{re.escape(str(tmp_path / 'demo' / name))} +{re.escape(meaning)}", out)
         assert (tmp_path / "demo" / name).stat().st_size > 1000

@@ -6,7 +6,7 @@ import io
 import numpy as np
 import pytest
 from control_world import a_status
-from invoking import invoke
+from invoking import succeed
 from rich.console import Console
 
 from spheremouse.commands import app
@@ -24,18 +24,17 @@ from spheremouse.session.run_config import CommandLineOverrides
 def test_two_recordings_are_tied_and_tracked_as_one(tmp_path):
     for name, more in (("front", ()), ("side", ("--azimuth", "90", "--late", "0.0167"))):
         film = str(tmp_path / name)
-        assert invoke(app, "simulate", film, "--motion", "play", "--seconds", "8", "--seed", "3", *more)[0] == 0
+        succeed(app, "simulate", film, "--motion", "play", "--seconds", "8", "--seed", "3", *more)
         save_rig(tmp_path / f"{name}.yaml", open_dataset(tmp_path / name).rig)
     front, side, tied = (tmp_path / name for name in ("front", "side", "tied.yaml"))
     sources = ["--source", f"dataset:{front}", "--source", f"dataset:{side}"]
-    code, output = invoke(app, "calibrate", "tie", *sources, "--out", str(tied))
-    assert code == 0, output
+    succeed(app, "calibrate", "tie", *sources, "--out", str(tied))
     rig, turn = load_rig(tied), open_dataset(side).turn
     found = align(load_rig(tmp_path / "side.yaml").targets.position, rig.targets.position)
     assert np.degrees(np.linalg.norm(log(found @ turn.T))) < 0.05
     table = tmp_path / "motion.csv"
     rigs = ["--rig", f"{front}.yaml", "--rig", str(tied)]
-    assert invoke(app, "track", str(front), "--beside", str(side), *rigs, "--output", f"csv:{table}")[0] == 0
+    succeed(app, "track", str(front), "--beside", str(side), *rigs, "--output", f"csv:{table}")
     rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
     stamps = [float(row["stamp"]) for row in csv.DictReader(rows)]
     assert len(stamps) > 1.9 * 8 * 30

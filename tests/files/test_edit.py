@@ -48,15 +48,6 @@ def test_what_is_saved_is_what_is_read(tmp_path_factory, player, invert, scale):
     assert config.load(path, Configuration) == read
 
 
-@pytest.mark.parametrize("text", ["schema: 2\n", "schema: 2\nmotion:\n  # player: right\n", "schema: 2\nmotion: {}\n"])
-def test_a_section_is_begun_where_there_is_none(tmp_path, text):
-    path = tmp_path / "config.yaml"
-    path.write_text(text)
-    save_settings(path, SEAT, Configuration)
-    assert config.load(path, Configuration).motion.player == "left"
-    assert ("# player: right" in path.read_text()) == ("#" in text)
-
-
 @pytest.mark.parametrize(
     ("text", "values", "said"),
     [
@@ -105,6 +96,9 @@ def test_a_new_key_is_the_first_of_its_section_and_no_heading_moves(tmp_path, en
 @pytest.mark.parametrize(
     ("text", "saved"),
     [
+        ("schema: 2\n", "schema: 2\nmotion:\n  player: left\n"),
+        ("schema: 2\nmotion: {}\n", "schema: 2\nmotion: {player: left}\n"),
+        ("schema: 2\nmotion:\n  # player: right\n", "schema: 2\nmotion:\n  player: left\n  # player: right\n"),
         ("schema: 2\nmotion: {scale_y: 2}\n", "schema: 2\nmotion: {player: left, scale_y: 2}\n"),
         ("schema: 2\nmotion: null  # none yet\n", "schema: 2\nmotion:   # none yet\n  player: left\n"),
         ("schema: 2\nmotion:", "schema: 2\nmotion:\n  player: left\n"),

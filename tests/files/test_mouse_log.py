@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from invoking import refusal
 
 from spheremouse import commands as cli
 from spheremouse.capture import mouse as mouse_log
@@ -73,11 +74,9 @@ def test_what_is_written_is_read(tmp_path_factory, rows):
 def test_an_invalid_log_is_rejected_with_its_place(tmp_path, text, place, problem):
     path = tmp_path / "log.csv"
     path.write_text(text)
-    with pytest.raises(DatasetError) as error:
-        read_log(path)
-    assert str(error.value).startswith(f"{path}{place}")
-    assert problem in str(error.value)
-    assert "\n" not in str(error.value)
+    text = refusal(DatasetError, read_log, path)
+    assert text.startswith(f"{path}{place}")
+    assert problem in text
 
 
 def test_columns_may_stand_in_any_order_and_others_beside_them(tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from invoking import refusal
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand, symmetry, wand_text
@@ -62,10 +63,9 @@ def test_a_file_reads_back_with_its_bounds(tmp_path):
     ],
 )
 def test_a_mistake_is_told_with_its_line(file, old, new, line, words):
-    with pytest.raises(ConfigurationError) as refused:
-        load_wand(edited(file, old, new))
-    assert f"{file}:{line}: " in str(refused.value)
-    assert words in str(refused.value)
+    text = refusal(ConfigurationError, load_wand, edited(file, old, new))
+    assert f"{file}:{line}: " in text
+    assert words in text
 
 
 def test_a_ball_that_looks_the_same_twice_is_refused(file):

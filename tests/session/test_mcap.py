@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from invoking import invoke
+from invoking import invoke, succeed
 from scipy.spatial.transform import Rotation
 
 import spheremouse as sm
@@ -53,8 +53,7 @@ def read(path):
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     path = tmp_path_factory.mktemp("export") / "clip.mcap"
-    code, text = invoke(app, "export", CLIP, path)
-    assert code == 0, text
+    succeed(app, "export", CLIP, path)
     return read(path)
 
 
@@ -140,8 +139,7 @@ def test_a_wand_has_the_transforms_of_its_balls_in_cam(tmp_path):
 
     film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=0.4, size=(640, 480)))
     list(write_wand(tmp_path / "film", film))
-    code, text = invoke(app, "export", tmp_path / "film", tmp_path / "wand.mcap")
-    assert code == 0, text
+    succeed(app, "export", tmp_path / "film", tmp_path / "wand.mcap")
     found, samples = read(tmp_path / "wand.mcap"), list(sm.track(sm.open_dataset(tmp_path / "film")))
     tracked = [s for s in samples if s.status == "tracking"]
     transforms = found.messages["/ball/1/transform"]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from invoking import invoke
+from invoking import fail, succeed
 
 from spheremouse.commands.tune import tune as command
 from spheremouse.errors import ConfigurationError
@@ -76,8 +76,7 @@ def test_filter_discs_and_loss_are_searched_within_their_bounds():
 def test_the_file_is_the_configuration_with_the_new_settings(film, tmp_path):
     out = tmp_path / "tuned.yaml"
     words = ("--trials", 2, "--seed", 2, "--set", "discs.contrast=0.9", "--set", "motion.scale_x=2", "--output", out)
-    code, text = invoke(app, film, *words)
-    assert code == 0, text
+    text = succeed(app, film, *words)
     written = config.load(out, Configuration)
     assert written.motion.scale_x == 2.0
     assert f"discs.contrast={config.to_yaml(written.discs.contrast)}  saves" in text
@@ -86,17 +85,14 @@ def test_the_file_is_the_configuration_with_the_new_settings(film, tmp_path):
 @pytest.mark.slow
 def test_nothing_is_written_if_no_trial_is_better(film, tmp_path):
     out = tmp_path / "tuned.yaml"
-    code, text = invoke(app, film, "--trials", 1, "--seed", 2, "--output", out)
-    assert code == 0
+    text = succeed(app, film, "--trials", 1, "--seed", 2, "--output", out)
     assert "nothing changed" in text
     assert not out.exists()
 
 
 @pytest.mark.parametrize("words", [("--budget", "soon"), ("--budget", "0"), ("--set", "tracker=ekf1")])
 def test_a_wrong_request_is_one_line(words):
-    code, text = invoke(app, CLIP, *words)
-    assert code == 2
-    assert len(text.splitlines()) == 1
+    fail(app, CLIP, *words)
 
 
 def test_a_recording_that_is_too_short_is_refused():

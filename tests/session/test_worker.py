@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from daemon_world import DT, Film
 
-from spheremouse.ball.rig import Targets
 from spheremouse.capture.newest import Arrival
-from spheremouse.errors import DamagedFrameError, PoseError
+from spheremouse.errors import DamagedFrameError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.adapter import BallAdapter
@@ -132,12 +131,6 @@ def test_a_fault_of_ours_begins_anew_and_five_in_a_minute_are_too_many(film):
         assert play(error=ZeroDivisionError("as if")) is None
     with pytest.raises(ZeroDivisionError):
         play(error=ZeroDivisionError("as if"))
-
-
-def test_a_rig_that_can_never_be_posed_is_refused(film):
-    none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-    with pytest.raises(PoseError, match="fewer than three targets"):
-        Play(film, replace(film.rig, targets=none))
 
 
 def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):

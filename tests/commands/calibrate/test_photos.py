@@ -146,10 +146,6 @@ def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, poses):
         run("--for", "device", tmp_path, "--source", film(tmp_path / "f.mkv", poses))
 
 
-def run_device(*words):
-    return CliRunner().invoke(app, ["calibrate", "device", *map(str, words)], catch_exceptions=False)
-
-
 @pytest.fixture
 def cabinet(tmp_path):
     truth = json.loads((datasets_dir() / "stills" / "truth.json").read_text())
@@ -169,7 +165,7 @@ def test_a_device_file_nobody_filled_in_is_refused(cabinet):
     device = cabinet / "device.yaml"
     device.write_text(device_template(), encoding="utf-8")
     with pytest.raises(CalibrationError, match="delete its first line") as e:
-        run_device(datasets_dir() / "stills" / "device", *options(cabinet, device))
+        run(datasets_dir() / "stills" / "device", *options(cabinet, device), command="device")
     assert "\n" not in str(e.value)
     assert not (cabinet / "rig.yaml").exists()
 
@@ -177,7 +173,7 @@ def test_a_device_file_nobody_filled_in_is_refused(cabinet):
 def test_what_comes_next_saves_what_is_answered(cabinet):
     stills = datasets_dir() / "stills"
     given = ["--report", str(cabinet / "r.html"), "--json", str(cabinet / "f.json")]
-    result = run_device(stills / "device", *options(cabinet, stills / "device.yaml"), *given)
+    result = run(stills / "device", *options(cabinet, stills / "device.yaml"), *given, command="device")
     assert result.exit_code == 0, result.output
     again = next(line for line in result.output.splitlines() if line.startswith("with more photos"))
     assert " ".join(given) in again

@@ -298,11 +298,15 @@ def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
 # ---- targets, ball, discs ----
 
 
+def filmed(recording, seconds):
+    """The film of a recording, its rig, and the settings."""
+    plan = read_run_config(CommandLineOverrides(None, (f"source=dataset:{recording}", "output=null")))
+    footage = film(plan, seconds, None)
+    return footage, footage.rig, plan.configuration
+
+
 def test_targets_that_moved_against_the_rig_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(None, (f"source=dataset:{far26}", "output=null")))
-    footage = film(plan, 0.5, None)
-    rig, settings = footage.rig, plan.configuration
-    assert rig is not None
+    footage, rig, settings = filmed(far26, 0.5)
     pose, told = sights.targets(footage.views, rig, settings)
     assert told.verdict is OK
     moved = rig.targets.position.copy()
@@ -313,22 +317,16 @@ def test_targets_that_moved_against_the_rig_are_told(far26):
     pose, told = sights.targets(grey, rig, settings)
     assert pose is None
     assert told.verdict is UNCHECKED
-    hidden = []
-    for view in footage.views:
-        image = view.image.copy()
-        image[:, :320] = 90
-        hidden.append(replace(view, image=image))
-    pose, told = sights.targets(tuple(hidden), rig, settings)
+    left = np.arange(640)[:, None] < 320
+    hidden = tuple(replace(v, image=np.where(left, np.uint8(90), v.image)) for v in footage.views)
+    pose, told = sights.targets(hidden, rig, settings)
     assert pose is None
     assert told.verdict is WRONG
     assert "at least 3 are needed" in told.text
 
 
 def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
-    plan = read_run_config(CommandLineOverrides(None, (f"source=dataset:{far26}", "output=null")))
-    footage = film(plan, 0.2, None)
-    rig, settings = footage.rig, plan.configuration
-    assert rig is not None
+    footage, rig, settings = filmed(far26, 0.2)
     pose, _ = sights.targets(footage.views, rig, settings)
     assert pose is not None
     small = replace(rig, disc_radius=0.2 * rig.disc_radius)

@@ -69,8 +69,7 @@ def columns(table, names):
 
 
 def test_six_axes_are_those_of_the_truth(spheremouse, hand):
-    code, out, err = spheremouse(*WAND, "--source", f"dataset:{hand}", "--output", "text:-")
-    assert code == 0, err
+    out, err = spheremouse.succeed(*WAND, "--source", f"dataset:{hand}", "--output", "text:-")
     said = err.splitlines()
     assert said[0] == "ball: grzonka, 100 mm across, 8 discs"
     assert said[1].endswith("tracking: grzonka is followed")
@@ -123,14 +122,12 @@ def test_samples_may_go_beside_the_pointer_and_the_configuration_may_say_all(sph
     poses, expected = ([json.loads(line)["position"] for line in text.splitlines()] for text in (log.read_text(), out))
     assert poses == [pytest.approx(position, abs=1e-9) for position in expected]
     file.write_text(file.read_text().replace("by: shift", "by: shove"))
-    code, _, err = spheremouse("run", "--config", file)
-    assert (code, f"{file}:6: wand.pointing.by: must be 'turn' or 'shift'" in err) == (2, True), err
+    assert f"{file}:6: wand.pointing.by: must be 'turn' or 'shift'" in spheremouse.fail("run", "--config", file)
 
 
 def test_several_balls_and_which_of_them_points(spheremouse, two, tmp_path):
     words = (*WAND, "--source", f"dataset:{two}", "--output", "text:-", "--set", "wand.points=2")
-    code, out, err = spheremouse(*words)
-    assert code == 0, err
+    out, err = spheremouse.succeed(*words)
     table, truths = read(out), open_wand(two).truths
     assert "tracking: grzonka 2 is followed" in err
     followed = []
@@ -142,8 +139,9 @@ def test_several_balls_and_which_of_them_points(spheremouse, two, tmp_path):
         assert columns(table, "dx dy dz")[mine].any() == (k == 1)
     assert sorted(followed) == [0, 1]  # balls that look alike are counted as they are found
     save_wand(tmp_path / "one.yaml", grzonka_ball())
-    code, _, err = spheremouse(*WAND, "--source", f"dataset:{two}", "--output", "null", "--ball", tmp_path / "one.yaml")
-    assert code == 0
+    _, err = spheremouse.succeed(
+        *WAND, "--source", f"dataset:{two}", "--output", "null", "--ball", tmp_path / "one.yaml"
+    )
     assert err.count("a second ball like grzonka is in view: declare it too, or take it away") == 1
 
 
@@ -151,8 +149,7 @@ def test_a_declared_ball_that_is_never_found_is_told_at_the_end(spheremouse, han
     save_wand(tmp_path / "ball.yaml", grzonka_ball())
     two = ("--ball", tmp_path / "ball.yaml") * 2
     words = (*WAND, "--source", f"dataset:{hand}", "--output", "null", "--frames", 3, *two)
-    code, _, err = spheremouse(*words)
-    assert code == 0, err
+    _, err = spheremouse.succeed(*words)
     last = err.splitlines()[-1]
     assert last.startswith("grzonka 2 was never found: no ball like grzonka 2 in view: hold it into the picture")
     code, _, err = spheremouse(*words, "--set", "wand.points=2")

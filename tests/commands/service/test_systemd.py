@@ -103,17 +103,6 @@ def test_what_is_placed_may_be_read_by_all_whatever_the_umask_and_what_was_there
     assert set(placed.values()) == {0o755, 0o644}
 
 
-def test_a_users_own_folders_are_closed_to_others_whatever_the_umask(root, home):
-    below = root / home.relative_to("/")
-    below.mkdir(parents=True)
-    asked = os.umask(0o000)
-    try:
-        call("install", "--user", root=root)
-    finally:
-        os.umask(asked)
-    assert {p.stat().st_mode & 0o777 for p in below.rglob("*") if p.is_dir()} == {0o700}
-
-
 def test_uninstalling_leaves_nothing_where_nobody_changed_anything(root):
     (root / "etc").mkdir()
     (root / "etc" / "hostname").write_text("cabinet\n")
@@ -158,21 +147,20 @@ def test_a_dry_run_says_all_and_does_nothing(root, command):
         assert str(path) in said
 
 
-def test_a_users_own_service_goes_to_the_home_alone(root, home):
-    call("install", "--user", root=root)
+def test_a_users_own_service_goes_to_the_home_alone_in_folders_closed_to_others_whatever_the_umask(root, home):
     below = root / home.relative_to("/")
+    below.mkdir(parents=True)
+    asked = os.umask(0o000)
+    try:
+        call("install", "--user", root=root)
+    finally:
+        os.umask(asked)
+    assert {p.stat().st_mode & 0o777 for p in below.rglob("*") if p.is_dir()} == {0o700}
     assert all(p.is_relative_to(below) or below.is_relative_to(p) for p in root.rglob("*"))
     unit = below / ".config/systemd/user/spheremouse.service"
     assert "run --realtime --config %E/spheremouse/config.yaml" in unit.read_text()
     assert os.readlink(unit.parent / "default.target.wants" / unit.name) == f"{home}/.config/systemd/user/{unit.name}"
     assert f"rig: {home}/.config/spheremouse/rig.yaml\n" in (below / ".config/spheremouse/config.yaml").read_text()
-    call("uninstall", "--user", root=root)
-    assert tree(root) == {}
-
-
-def test_a_users_recordings_are_named_and_purged(root, home):
-    below = root / home.relative_to("/")
-    call("install", "--user", root=root)
     film = below / ".local/state/spheremouse/recordings/1/video.mkv"
     film.parent.mkdir(parents=True)
     film.write_text("")

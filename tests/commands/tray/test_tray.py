@@ -136,18 +136,20 @@ def notices_of(transcript):
     return found
 
 
-def test_a_lasting_problem_and_its_end_are_shown_once():
-    assert notices_of([(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")]) == [
-        (15, "no camera"),
-        (202, "tracking again"),
-    ]
-
-
-def test_a_short_problem_is_not_shown():
-    assert (
-        notices_of([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")])
-        == []
-    )
+@pytest.mark.parametrize(
+    ("transcript", "shown"),
+    [
+        (
+            [(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")],
+            [(15, "no camera"), (202, "tracking again")],
+        ),
+        ([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")], []),
+        ([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")], []),
+    ],
+    ids=["lasts", "short", "a daemon restarts"],
+)
+def test_a_lasting_problem_and_its_end_are_shown_once_and_a_short_one_never(transcript, shown):
+    assert notices_of(transcript) == shown
 
 
 def test_a_problem_that_returns_is_shown_every_five_minutes():
@@ -155,10 +157,6 @@ def test_a_problem_that_returns_is_shown_every_five_minutes():
     times = [t for t, text in notices_of(flapping) if text == "no camera"]
     assert len(times) >= 3
     assert min(np.diff(times)) >= 300
-
-
-def test_a_daemon_that_restarts_is_not_shown():
-    assert notices_of([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")]) == []
 
 
 # ---- the link ----

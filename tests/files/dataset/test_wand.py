@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import datasets_dir
 from experiments.kit.balls import contrast_ball
+from invoking import refusal
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.frames import read_frames
@@ -99,10 +100,9 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
 )
 def test_a_damaged_description_is_refused_in_words(folder, changes, words):
     damage(folder, **changes)
-    with pytest.raises(DatasetError) as refused:
-        open_wand(folder)
-    assert words in str(refused.value)
-    assert str(folder) in str(refused.value)
+    text = refusal(DatasetError, open_wand, folder)
+    assert words in text
+    assert str(folder) in text
 
 
 def test_a_damaged_truth_is_refused_with_its_place(folder):

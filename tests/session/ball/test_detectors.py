@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from beacons import Beacons, with_attitude
-from invoking import invoke
+from invoking import invoke, succeed
 
 from spheremouse.ball.build import DETECTORS, Choice, build
 from spheremouse.ball.detect.appearance import ball_mask
@@ -145,13 +145,9 @@ def test_commands_need_no_line_for_a_new_detector(name, tmp_path):
         writer = TruthWriter(made, centres=False, discs=False)
         for f in simulate(simulation):
             writer.add(with_attitude(f.frame, f.attitude), f.attitude, f.rate, f.discs, f.centre)
-    code, output = invoke(app, "evaluate", folder, "--pose", "known", "--json", tmp_path / "r.json")
-    assert code == 0
+    output = succeed(app, "evaluate", folder, "--pose", "known", "--json", tmp_path / "r.json")
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["attitude_rmse_deg"]["combined"] < 0.05
-    code, output = invoke(
-        app, "run", "--source", f"dataset:{folder}", "--output", "null", "--overlay", tmp_path / "a.png"
-    )
-    assert code == 0
+    output = succeed(app, "run", "--source", f"dataset:{folder}", "--output", "null", "--overlay", tmp_path / "a.png")
     assert "beacons in view" in " ".join(output.split())
     assert "is followed by its beacons" in " ".join(invoke(app, "tune", folder)[1].split())

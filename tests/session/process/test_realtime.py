@@ -27,12 +27,15 @@ def alone(code):
     return done.stdout.splitlines()
 
 
-def test_what_is_said_is_what_is():
-    said, scheduler, inherited, locked = alone("""
+@pytest.mark.parametrize("wanted", [True, False])
+def test_what_is_said_is_what_is(wanted):
+    """A thread that is begun later has usual scheduling: who writes files waits for who moves the pointer."""
+    said, scheduler, nice, inherited, locked = alone(f"""
 import os, threading
 from spheremouse.session.process import realtime
-print(realtime.prepare())
-print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR, os.getpriority(os.PRIO_PROCESS, 0) < 0)
+print(realtime.prepare({wanted}))
+print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR)
+print(os.getpriority(os.PRIO_PROCESS, 0))
 other = []
 thread = threading.Thread(target=lambda: other.append(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK))
 thread.start()
@@ -40,25 +43,13 @@ thread.join()
 print(other[0] == os.SCHED_OTHER)
 print([line for line in open("/proc/self/status") if line.startswith("VmLck")][0].split()[1] != "0")
 """)
-    real_time, nice = (word == "True" for word in scheduler.split())
-    assert ("real-time scheduling" in said) == real_time
-    assert ("nice -10" in said) == nice
+    assert ("real-time scheduling" in said) == (scheduler == "True")
+    assert ("nice -10" in said) == (int(nice) < 0 if wanted else int(nice) != os.getpriority(os.PRIO_PROCESS, 0))
     assert ("memory locked" in said and "not locked" not in said) == (locked == "True")
-    assert inherited == "True"  # who writes files waits for who moves the pointer
-
-
-def test_off_asks_for_nothing():
-    said, scheduler, nice, locked = alone("""
-import os
-from spheremouse.session.process import realtime
-print(realtime.prepare(False))
-print(os.sched_getscheduler(0) == os.SCHED_OTHER)
-print(os.getpriority(os.PRIO_PROCESS, 0))
-print([line for line in open("/proc/self/status") if line.startswith("VmLck")][0].split()[1])
-""")
-    assert "off" in said
-    assert (scheduler, locked) == ("True", "0")
-    assert int(nice) == os.getpriority(os.PRIO_PROCESS, 0)
+    assert inherited == "True"
+    if not wanted:
+        assert "off" in said
+        assert (scheduler, locked) == ("False", "False")
 
 
 def test_what_is_not_granted_is_said(monkeypatch):

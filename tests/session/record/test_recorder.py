@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from invoking import refusal
 from reporting import counts_of, until
 from typer.testing import CliRunner
 
@@ -523,10 +524,9 @@ def test_spoilt_stamps_are_named(tmp_path, change, words):
     after = change(rows)
     assert after != rows
     (folder / "stamps.csv").write_text("\n".join(after) + "\n")
-    with pytest.raises(DatasetError) as e:
-        open_dataset(folder)
-    assert "stamps.csv" in str(e.value)
-    assert words in str(e.value)
+    text = refusal(DatasetError, open_dataset, folder)
+    assert "stamps.csv" in text
+    assert words in text
 
 
 def test_a_rig_file_that_was_mended_counts(tmp_path):
