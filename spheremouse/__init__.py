@@ -6,11 +6,12 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from spheremouse.api import connect, evaluate, load_configuration, load_rig, open_dataset, smooth, track
+    from spheremouse.api import evaluate, load_configuration, load_rig, open_dataset, smooth, track
     from spheremouse.ball.rig import Rig
     from spheremouse.capture import Source, open_source
     from spheremouse.errors import SpheremouseError
     from spheremouse.output.sample import Sample
+    from spheremouse.session.control.client import connect
     from spheremouse.session.settings import Configuration
     from spheremouse.tracker import Estimate, Status
 
@@ -43,6 +44,7 @@ _HOMES = {
     "Source": "capture",
     "SpheremouseError": "errors",
     "Status": "tracker",
+    "connect": "session.control.client",
     "open_source": "capture",
 }
 

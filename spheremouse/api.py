@@ -17,7 +17,6 @@ from spheremouse.files.rig import load_rig as _load_rig
 from spheremouse.output.sample import Sample
 from spheremouse.session import evaluate as evaluation
 from spheremouse.session import offline
-from spheremouse.session.control.client import Client
 from spheremouse.session.run_config import RunConfig, with_distinct_names
 from spheremouse.session.settings import Configuration
 from spheremouse.session.setup import Setup
@@ -128,14 +127,3 @@ def evaluate(
     frames, device = evaluation.numbered_frames(recording), evaluation.rig_of(recording, rig)
     run = evaluation.run_ball(frames, device, settings)
     return evaluation.ball_reports(run, recording, smooth)[-1]
-
-
-def connect(socket: str | Path | None = None) -> Iterator[Sample]:
-    """Yield the samples of the running service, from now on.
-
-    `socket` is the path of its control socket; by default it is found as by `spheremouse ctl`. Raises SpheremouseError
-    if no service runs, if you have no access to the socket, or when the service ends. A caller that is too slow loses
-    the oldest samples.
-    """
-    with Client(None if socket is None else Path(socket)) as client:
-        yield from client.samples()

@@ -39,6 +39,9 @@ def samples(recording):
     return list(sm.track(recording))
 
 
+CONNECT = "spheremouse.session.control.client, spheremouse.output.sample"  # all that `connect` needs
+
+
 def without_times(report):
     return {key: value for key, value in report.items() if key not in TIMES}
 
@@ -58,7 +61,7 @@ def test_the_public_names():
 
 @pytest.mark.parametrize(
     ("module", "packages"),
-    [("spheremouse", ("numpy", "cv2", "scipy")), ("spheremouse.output", ("cv2", "scipy"))],
+    [("spheremouse", ("numpy", "cv2", "scipy")), ("spheremouse.output", ("cv2", "scipy")), (CONNECT, ("cv2", "scipy"))],
 )
 def test_the_import_alone_loads_no_other_package(module, packages):
     code = f"import sys, {module}; print([m for m in {packages} if m in sys.modules])"

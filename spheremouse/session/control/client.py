@@ -131,7 +131,7 @@ class Client:
 
     def samples(self) -> "Iterator[Sample]":
         """Yield each sample of the run, as `sample_objects` does."""
-        from spheremouse.output.sample import from_object  # loads SciPy, which few clients need
+        from spheremouse.output.sample import from_object  # loads NumPy, which few clients need
 
         for read in self.sample_objects():
             try:
@@ -270,3 +270,14 @@ def settings_to_save(
     if file is None or not file.is_file():
         raise ControlError("the daemon has no configuration file; start it with --config FILE to have one")
     return file, changes
+
+
+def connect(socket: str | Path | None = None) -> "Iterator[Sample]":
+    """Yield the samples of the running service, from now on.
+
+    `socket` is the path of its control socket; by default it is found as by `spheremouse ctl`. Raises SpheremouseError
+    if no service runs, if you have no access to the socket, or when the service ends. A caller that is too slow loses
+    the oldest samples.
+    """
+    with Client(None if socket is None else Path(socket)) as client:
+        yield from client.samples()
