@@ -68,7 +68,8 @@ def load_wand(path: Path) -> WandFile:
     colours = {name: ColourSettings(**given.model_dump(exclude_unset=True)) for name, given in file.colours.items()}
     if problems := [*_disc_problems(file), *_colour_problems(file, colours)]:
         raise document.error(problems)
-    ball = WandBall(file.name, file.radius, tuple(_wand_disc(d, file.radius) for d in file.discs), file.body)
+    discs = (disc_of(file.radius, d.azimuth, d.latitude, d.diameter, d.colour, d.points) for d in file.discs)
+    ball = WandBall(file.name, file.radius, tuple(discs), file.body)
     if problems := [*_overlaps(ball), *_symmetry_problem(ball)]:
         raise document.error(problems)
     return WandFile(ball, {name: (DEFAULT_COLOURS | colours)[name] for name in ball.colours})
@@ -97,8 +98,7 @@ def wand_text(
         lines += ["provenance:", *(f"  {key}: {json.dumps(value)}" for key, value in provenance.items())]
     lines += [f"name: {ball.name}", f"radius: {ball.radius:.9g}", f"body: {ball.body}", "discs:"]
     for disc in ball.discs:
-        x, y, z = disc.direction
-        azimuth, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(np.clip(z, -1.0, 1.0)))
+        azimuth, latitude = angles_of(disc)
         lines.append(
             f"  - {{azimuth: {_short(azimuth % 360.0)}, latitude: {_short(latitude)}, "
             f"diameter: {_short(2.0 * ball.radius * np.sin(disc.angle))}, colour: {disc.colour}, "
@@ -116,15 +116,22 @@ def _short(x: float) -> str:
     return f"{round(float(x), 9):.9g}"
 
 
-def _wand_disc(disc: _Disc, radius: float) -> WandDisc:
-    """Return a disc of the file, whose angles are degrees and lengths m, on a ball of `radius` m."""
-    return wand_disc(
-        float(np.radians(disc.azimuth)),
-        float(np.radians(disc.latitude)),
-        float(np.arcsin(0.5 * disc.diameter / radius)),
-        disc.colour,
-        None if disc.points is None else disc.points / radius,
-    )
+def disc_of(
+    radius: float, azimuth: float, latitude: float, diameter: float, colour: str, points: float | None
+) -> WandDisc:
+    """Return a disc on a ball of `radius` m, with angles in degrees. The diameter, m, is straight across the rim.
+
+    `points`, m, are along the surface: the thesis' points lie on it, 0.5 and 1.2 cm from the centre.
+    """
+    angle = float(np.arcsin(0.5 * diameter / radius))
+    place = float(np.radians(azimuth)), float(np.radians(latitude))
+    return wand_disc(*place, angle, colour, None if points is None else points / radius)
+
+
+def angles_of(disc: WandDisc) -> tuple[float, float]:
+    """Return azimuth and latitude of a disc in degrees."""
+    x, y, z = disc.direction
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))
 
 
 # ---- problems ----

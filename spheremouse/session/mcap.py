@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.access import shipped
-from spheremouse.files.jpeg import encoded
 from spheremouse.geometry import Array
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Report
 from spheremouse.output.sample import Sample, to_object
+from spheremouse.session.control.jpeg_picture import encoded
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Status
 

@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
@@ -335,17 +335,13 @@ def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _failing() -> Iterator[None]:
+    from spheremouse.session.control.client import NoDaemonError
+
     try:
         yield
     except ControlError as e:
-        _fail(e)
-
-
-def _fail(error: ControlError) -> NoReturn:
-    from spheremouse.session.control.client import NoDaemonError
-
-    terminal.error(str(error))
-    raise typer.Exit(NO_DAEMON if isinstance(error, NoDaemonError) else REFUSED)
+        terminal.error(str(e))
+        raise typer.Exit(NO_DAEMON if isinstance(e, NoDaemonError) else REFUSED) from None
 
 
 def _report(reply: dict[str, Any], words: str, place: str | None = None, *, as_json: bool = False) -> None:

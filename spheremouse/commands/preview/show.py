@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
+from spheremouse.capture import section
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.doctor.sight import brightness
+from spheremouse.commands.doctor.sight import grey as grey_of
 from spheremouse.commands.preview import PreviewOptions
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files import config
@@ -140,22 +141,12 @@ def _open(options: PreviewOptions, source: str) -> Iterator[tuple[Iterator[Frame
         rig = rig or opened.rig
         radii, codes = (_TARGET_PROPORTIONS, None) if rig is None else (rig.targets.radii, rig.targets.codes)
         at = options.at if options.at is not None else _EXPOSURE_S if opened.live else 0.0
-        frames = _from(signals.frames(iter(opened)), at)
-        yield frames, lambda frame: _analyse(frame, radii, codes, settings)
-
-
-def _from(frames: Iterator[Frame], at: float) -> Iterator[Frame]:
-    """Yield the frames from `at` seconds after the first one on."""
-    first: float | None = None
-    for frame in frames:
-        first = frame.stamp if first is None else first
-        if frame.stamp - first >= at:
-            yield frame
+        yield section(signals.frames(iter(opened)), at), lambda frame: _analyse(frame, radii, codes, settings)
 
 
 def _analyse(frame: Frame, radii: Array, codes: tuple[str, ...] | None, settings: Configuration) -> Analysis:
     image = frame.image
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = grey_of(image)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel())) / np.sqrt(2.0)
     dark = projected(image, settings.discs.projection or GREY)
     light = brightness([grey], mask=None, settings=settings.discs, noise=noise)

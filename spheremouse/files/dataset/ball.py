@@ -6,7 +6,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -32,6 +32,7 @@ from spheremouse.files.dataset.format import (
 )
 from spheremouse.files.dataset.frames import Recorded, fractional, read_stamps
 from spheremouse.files.rig import load_rig
+from spheremouse.files.rig.models import Code
 from spheremouse.files.tables import read_columns
 from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import Pose, pose_from_matrix
@@ -69,7 +70,7 @@ class _Ball(Entry):
 
 class _Target(Entry):
     id: int
-    code: Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
+    code: Code
     position: _Vector
 
 

@@ -28,9 +28,10 @@ from spheremouse.files.dataset.format import (
 )
 from spheremouse.files.dataset.frames import Recorded, read_stamps
 from spheremouse.files.tables import read_columns
+from spheremouse.files.wand import angles_of, disc_of
 from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.wand.ball import WandBall, WandDisc, WandTruth, wand_disc
+from spheremouse.wand.ball import WandBall, WandTruth
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
 _FRAME = (
@@ -131,15 +132,10 @@ def _read_scene(document: Document) -> _Scene:
 
 def _wand_ball(place: str, wand: _Wand) -> WandBall:
     """Return the ball at a `place` of scene.json. Raises DatasetError if a disc is larger than the ball."""
-    discs: list[WandDisc] = []
     for i, disc in enumerate(wand.discs):
-        if disc.diameter >= 2.0 * wand.radius or (disc.points or 0.0) >= 2.0 * wand.radius:
+        if max(disc.diameter, disc.points or 0.0) >= 2.0 * wand.radius:
             raise DatasetError(f"{place}.discs.{i}: larger than the ball of radius {wand.radius:g} m")
-        angle = float(np.arcsin(0.5 * disc.diameter / wand.radius))
-        # along the surface: the thesis' points lie on it, 0.5 and 1.2 cm from the centre
-        points = None if disc.points is None else disc.points / wand.radius
-        azimuth, latitude = np.radians(disc.azimuth_deg), np.radians(disc.latitude_deg)
-        discs.append(wand_disc(float(azimuth), float(latitude), angle, disc.colour, points))
+    discs = (disc_of(wand.radius, d.azimuth_deg, d.latitude_deg, d.diameter, d.colour, d.points) for d in wand.discs)
     return WandBall(wand.name, wand.radius, tuple(discs), wand.body)
 
 
@@ -182,11 +178,11 @@ def wand_description(ball: WandBall) -> dict[str, Any]:
     """Return a ball for scene.json."""
     discs = []
     for disc in ball.discs:
-        x, y, z = disc.direction
+        azimuth, latitude = angles_of(disc)
         discs.append(
             {
-                "azimuth_deg": round(float(np.degrees(np.arctan2(y, x))), 9),
-                "latitude_deg": round(float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0)))), 9),
+                "azimuth_deg": round(azimuth, 9),
+                "latitude_deg": round(latitude, 9),
                 "diameter": float(2.0 * ball.radius * np.sin(disc.angle)),
                 "colour": disc.colour,
                 "angular_radius_deg": float(np.degrees(disc.angle)),

@@ -48,17 +48,9 @@ class Pen:
 
     def outline(self, points: Array) -> None:
         """A ball's outline, (n, 2) px: thin, as it is not detected but known."""
-        layer = self._canvas.copy()
-        cv2.polylines(
-            layer,
-            [self._fixed(points)],
-            isClosed=True,
-            color=OUTLINE,
-            thickness=self.width,
-            lineType=cv2.LINE_AA,
-            shift=_FRACTIONAL_BITS,
-        )
-        cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
+        before = self._canvas.copy()
+        self._stroke(points, OUTLINE, self.width, closed=True)
+        cv2.addWeighted(self._canvas, 0.55, before, 0.45, 0.0, dst=self._canvas)
 
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
         """An ellipse about a centre, (2,) px, of a shape, (2, 2) px²."""

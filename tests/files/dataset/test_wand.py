@@ -1,7 +1,5 @@
 """Recordings of wands: what is written comes back, what is wrong is said with its file, nothing is written by half."""
 
-import json
-
 import numpy as np
 import pytest
 from conftest import datasets_dir
@@ -14,6 +12,7 @@ from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
+from tests.files.dataset.test_ball import spoil_scene
 
 OPTIONS = WandOptions(motion="hand", seconds=0.3, fps=10.0, size=(160, 120), seed=1, balls=2)
 
@@ -28,21 +27,6 @@ def folder(film, tmp_path):
     path = tmp_path / "wand"
     assert list(write_wand(path, film)) == [1, 2, 3]
     return path
-
-
-def damage(folder, **changes):
-    """Change keys of scene.json; None removes one."""
-    scene = json.loads((folder / "scene.json").read_text())
-    for key, value in changes.items():
-        part = scene
-        *way, last = key.split("__")
-        for word in way:
-            part = part[int(word) if word.isdigit() else word]
-        if value is None:
-            del part[last]
-        else:
-            part[last] = value
-    (folder / "scene.json").write_text(json.dumps(scene))
 
 
 def test_the_shared_recording_opens():
@@ -87,19 +71,19 @@ def test_without_truth_the_rate_stamps_the_frames(folder):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("key", "value", "words"),
     [
-        ({"wand": None}, "scene.json: no `wand` in it"),
-        ({"wand__radius": -1.0}, "wand.radius: must be greater than 0, is -1.0"),
-        ({"wand__discs": []}, "wand.discs: must be a list of at least 1, is a list of 0"),
-        ({"wands__1__discs__3__diameter": 0.2}, "wands.1.discs.3: larger than the ball of radius 0.05 m"),
-        ({"wand__radius": 0.049}, "wand: differs from the first of `wands`; correct one of the two"),
-        ({"wands": []}, "wands: is empty"),
-        ({"frames": 4}, "truth.csv: 3 rows, but scene.json has 4 frames"),
+        ("wand", None, "scene.json: no `wand` in it"),
+        ("wand.radius", -1.0, "wand.radius: must be greater than 0, is -1.0"),
+        ("wand.discs", [], "wand.discs: must be a list of at least 1, is a list of 0"),
+        ("wands.1.discs.3.diameter", 0.2, "wands.1.discs.3: larger than the ball of radius 0.05 m"),
+        ("wand.radius", 0.049, "wand: differs from the first of `wands`; correct one of the two"),
+        ("wands", [], "wands: is empty"),
+        ("frames", 4, "truth.csv: 3 rows, but scene.json has 4 frames"),
     ],
 )
-def test_a_damaged_description_is_refused_in_words(folder, changes, words):
-    damage(folder, **changes)
+def test_a_damaged_description_is_refused_in_words(folder, key, value, words):
+    spoil_scene(folder, key, value)
     text = refusal(DatasetError, open_wand, folder)
     assert words in text
     assert str(folder) in text
@@ -122,10 +106,11 @@ def test_a_damaged_truth_is_refused_with_its_place(folder):
 
 
 def test_a_film_cut_short_gives_what_is_there_and_says_so(folder, tmp_path):
-    damage(folder, frames=3, width=320)
+    spoil_scene(folder, "width", 320)
     with pytest.raises(DatasetError, match=r"frame 0 is 160x120, but scene\.json has 320x120"):
         list(read_frames(open_wand(folder)))
-    damage(folder, width=160, frames=5)
+    spoil_scene(folder, "width", 160)
+    spoil_scene(folder, "frames", 5)
     (folder / "truth.csv").unlink()
     frames = read_frames(open_wand(folder))
     assert [next(frames).sequence for _ in range(3)] == [0, 1, 2]
