@@ -40,10 +40,10 @@ class PoseSettings:
     """Parameters of the initial camera pose."""
 
     frames: int = param(
-        30,
+        10,
         "frames",
-        "views averaged at the start: a second of video (Wittich 2017, section 3.4). "
-        "More than a hundred improve nothing, because systematic errors dominate",
+        "views averaged at the start. Noise of 20 grey values moves a centre by 0.02 px in one view; systematic errors "
+        "of 0.05 px stay in all",
         ge=1,
         le=100,
     )
