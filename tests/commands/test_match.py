@@ -28,8 +28,7 @@ def save(path, log):
 @pytest.fixture(scope="module")
 def film(tmp_path_factory):
     path = tmp_path_factory.mktemp("match") / "film"
-    for _ in write_simulation(path, prepare(OPTIONS)):
-        pass
+    list(write_simulation(path, prepare(OPTIONS)))
     return path
 
 

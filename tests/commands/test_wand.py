@@ -272,8 +272,7 @@ def test_a_circle_is_where_it_says():
 
 
 def film(path, **options):
-    for _ in write_wand(path, prepare_wand(WandOptions("hand", seed=2, fps=30.0, size=(640, 480), **options))):
-        pass
+    list(write_wand(path, prepare_wand(WandOptions("hand", seed=2, fps=30.0, size=(640, 480), **options))))
     return path
 
 

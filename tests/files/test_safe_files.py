@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from spheremouse.commands.service.systemd import under_umask
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError
 from spheremouse.files import safe_files
 from spheremouse.files.safe_files import NewFolder, write_atomically
@@ -30,8 +31,7 @@ write_atomically(Path(sys.argv[1]), "half")
 
 
 def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_path):
-    before = os.umask(0o027)
-    try:
+    with under_umask(0o027):
         for mode, expected in ((None, 0o640), (0o604, 0o604)):
             path = tmp_path / str(mode)
             safe_files.replace(path, b"one", mode)
@@ -39,8 +39,6 @@ def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_p
             path.chmod(0o600)
             safe_files.replace(path, b"two")
             assert path.stat().st_mode & 0o777 == 0o600
-    finally:
-        os.umask(before)
 
 
 def test_a_link_is_replaced_and_what_it_led_to_stays(tmp_path):

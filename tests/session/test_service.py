@@ -29,6 +29,7 @@ from control_world import conversations, page_reply
 from daemon_world import DT, Film, World, check_samples
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.commands.service.systemd import under_umask
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import project
@@ -571,11 +572,8 @@ def test_a_snapshot_while_targets_are_sought(world):
 
 def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing, monkeypatch):
     """As a recording is, whatever the umask."""
-    before = os.umask(0)
-    try:
+    with under_umask(0):
         path = Path(ask(playing, "snapshot")["file"])
-    finally:
-        os.umask(before)
     assert path.parent == playing.folder / "recordings"
     assert path.read_bytes().startswith(b"\x89PNG")
     assert stat.S_IMODE(path.stat().st_mode) == 0o640

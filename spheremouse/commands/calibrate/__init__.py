@@ -2,7 +2,7 @@
 
 import typer
 
-from spheremouse.commands.calibrate import camera, device, init, next, photos, practice, rolling, tie
+from spheremouse.commands.calibrate import camera, device, folder, photos, practice, rolling, tie
 from spheremouse.commands.calibrate import print as prints
 
 app = typer.Typer(
@@ -13,11 +13,11 @@ app = typer.Typer(
 )
 
 app.command("print", epilog=prints.EXAMPLE)(prints.print_)
-app.command(epilog=init.EXAMPLE)(init.init)
+app.command(epilog=folder.INIT_EXAMPLE)(folder.init)
 app.command(epilog=photos.EXAMPLE)(photos.photos)
 app.command(epilog=camera.EXAMPLE)(camera.camera)
 app.command(epilog=device.EXAMPLE)(device.device)
-app.command("next", epilog=next.EXAMPLE)(next.next_)
+app.command("next", epilog=folder.NEXT_EXAMPLE)(folder.next_)
 app.command(epilog=practice.EXAMPLE)(practice.practice)
 app.command(epilog=rolling.EXAMPLE)(rolling.rolling)
 app.command(epilog=tie.EXAMPLE)(tie.tie)

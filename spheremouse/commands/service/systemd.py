@@ -298,7 +298,7 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
     """
     for action in list(actions):
         try:
-            with _umask(umask):
+            with under_umask(umask):
                 action.do()
         except (OSError, RecursionError, ConfigurationError, ServiceError) as e:
             problem = f"{action}: {printable(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
@@ -323,7 +323,7 @@ def _existing(folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _umask(mask: int) -> Iterator[None]:
+def under_umask(mask: int) -> Iterator[None]:
     before = os.umask(mask)
     try:
         yield

@@ -24,8 +24,7 @@ from spheremouse.wand.build import build
 def hand(tmp_path_factory):
     """A second of a ball in a hand."""
     path = tmp_path_factory.mktemp("wand") / "hand"
-    for _ in write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=1.0, size=(640, 480)))):
-        pass
+    list(write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=1.0, size=(640, 480)))))
     return path
 
 

@@ -517,8 +517,7 @@ def test_bound_ratio_leaves_out_the_first_frame():
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
     path = tmp_path_factory.mktemp("film") / "short"
-    for _ in write_simulation(path, prepare(SimulationOptions(seconds=0.5))):
-        pass
+    list(write_simulation(path, prepare(SimulationOptions(seconds=0.5))))
     return path
 
 

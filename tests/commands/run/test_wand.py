@@ -25,8 +25,7 @@ WAND = ("run", "--tracker", "wand")
 
 def film(path, **options):
     given = {"seed": 3, "fps": 20.0, "seconds": 2.0, "size": (480, 360), **options}
-    for _ in write_wand(path, prepare_wand(WandOptions("hand", **given))):
-        pass
+    list(write_wand(path, prepare_wand(WandOptions("hand", **given))))
     return path
 
 

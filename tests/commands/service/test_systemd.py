@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from spheremouse.commands.service import app, check
 from spheremouse.commands.service import systemd as service
-from spheremouse.commands.service.systemd import Place
+from spheremouse.commands.service.systemd import Place, under_umask
 from spheremouse.errors import ServiceError
 from spheremouse.files import config
 from spheremouse.files.access import service_files
@@ -150,11 +150,8 @@ def test_a_dry_run_says_all_and_does_nothing(root, command):
 def test_a_users_own_service_goes_to_the_home_alone_in_folders_closed_to_others_whatever_the_umask(root, home):
     below = root / home.relative_to("/")
     below.mkdir(parents=True)
-    asked = os.umask(0o000)
-    try:
+    with under_umask(0o000):
         call("install", "--user", root=root)
-    finally:
-        os.umask(asked)
     assert {p.stat().st_mode & 0o777 for p in below.rglob("*") if p.is_dir()} == {0o700}
     assert all(p.is_relative_to(below) or below.is_relative_to(p) for p in root.rglob("*"))
     unit = below / ".config/systemd/user/spheremouse.service"

@@ -121,7 +121,7 @@ def test_status_marks_and_log_show_its_points_in_its_words(name):
     ball = ball_mask(seen.adapter.rig, seen.adapter.rig.pose)
     detected = seen.marks[-1]["detected"]
     assert sum(mark["used"] for mark in detected) == seen.discs[-1]
-    assert all(ball[round(mark["y"]), round(mark["x"])] for mark in detected)
+    assert all(ball[round(mark["y"]), round(mark["x"])] for mark in detected + seen.marks[-1]["predicted"])
     assert f" {words.parts} in view" in seen.log
     others = {choice().detector.words.parts for choice in DETECTORS.values()} - {words.parts}
     assert not any(other in seen.log for other in others)

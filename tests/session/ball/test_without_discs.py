@@ -50,9 +50,14 @@ def test_a_ball_that_rests_and_one_that_is_dark_state_why():
     for k in range(45):
         still.follow(replace(frames[0], stamp=k / 30.0, sequence=k))
     assert re.fullmatch(r"the ball is not followed for \d s: nothing has turned .*; turn it .*", still.reason)
-    ball = ball_mask(rig, pose) > 0
+    ball, lines = ball_mask(rig, pose) > 0, []
     for frame in frames:
         dark.follow(replace(frame, image=np.where(ball[..., None] & (frame.stamp >= 2.0), np.uint8(3), frame.image)))
+        lines.append(dark.take_messages().change)
+    log = "; ".join(filter(None, lines))
+    assert re.search(r"tracking: \d+ parts of the pattern in view; .*the ball turns; what stands still is masked", log)
+    assert "lost: no part of the pattern in view" in log
+    assert "disc" not in log
     assert "it is nearly black (3 of 255)" in dark.reason
     assert dark.scene()["discs"] is None
 

@@ -14,6 +14,7 @@ import pytest
 from control_world import FINE, OTHER, a_group, answer
 from invoking import refusal
 
+from spheremouse.commands.service.systemd import under_umask
 from spheremouse.errors import ControlError
 from spheremouse.session.control import socket_file
 from spheremouse.session.control.client import Client, NoDaemonError
@@ -34,13 +35,9 @@ def test_the_file_is_the_owners_alone_or_the_groups_too_from_the_moment_it_liste
         listen(self, *backlog)
 
     monkeypatch.setattr(socket.socket, "listen", look)
-    before = os.umask(0)
-    try:
-        with ControlServer(path, ControlSettings(group=group and group.gr_name), answer):
-            assert set(modes) == {0o660 if group else 0o600}
-            assert group is None or path.stat().st_gid == group.gr_gid
-    finally:
-        os.umask(before)
+    with under_umask(0), ControlServer(path, ControlSettings(group=group and group.gr_name), answer):
+        assert set(modes) == {0o660 if group else 0o600}
+        assert group is None or path.stat().st_gid == group.gr_gid
 
 
 ASKER = """

@@ -1,4 +1,4 @@
-"""`spheremouse calibrate next`: the checklist of a calibration, and the next step."""
+"""`spheremouse calibrate init` and `next`: the folder of a device, and the checklist of its calibration."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -9,16 +9,48 @@ import typer
 
 from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import table_console
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from spheremouse.calibrate.guide.checklist import Step
 
-EXAMPLE = "Example: spheremouse calibrate next cabinet"
+INIT_EXAMPLE, NEXT_EXAMPLE = (f"Example: spheremouse calibrate {name} cabinet" for name in ("init", "next"))
 
 _STYLES = {"done": "green", "too few": "yellow", "not needed": "dim", "next": "bold yellow", "later": "dim"}
+
+
+def init(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="One folder for each device.  [default: cabinet]")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace device.yaml, even if filled in. Photos stay.")
+    ] = False,
+) -> None:
+    """Make a folder with room for photos, and device.yaml to fill in."""
+    from spheremouse.calibrate.guide.folder import default_folder, next_command
+    from spheremouse.files.device import device_template
+    from spheremouse.files.safe_files import write_atomically
+
+    folder = default_folder() if folder is None else folder
+    for place in (folder / "board", folder / "device"):
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise CalibrationError(f"{place}: is a file where a folder should be; choose another name") from None
+        except OSError as e:
+            raise CalibrationError(f"{place}: cannot be made: {e.strerror or e}; choose another place") from None
+    path = folder / "device.yaml"
+    if path.exists() and not force:
+        typer.echo(f"{path}: there already, kept as it is (--force replaces it)")
+    else:
+        write_atomically(path, device_template())
+        typer.echo(f"{path}: written; open it in an editor and enter your measurements")
+    typer.echo(f"{folder / 'board'}, {folder / 'device'}: photos of the board and of the device go here")
+    typer.echo("To print board, targets and discs: spheremouse calibrate print")
+    typer.echo(f"The next step, now and at any time: {next_command(folder)}")
 
 
 def next_(
