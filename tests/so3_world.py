@@ -34,7 +34,8 @@ def points_at(direction, sigma=SIGMA, rng=None):
     n = len(d)
     C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
     none = np.zeros(n)
-    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), none, none, np.arange(n))
+    by_rig = np.tile(np.column_stack([np.zeros(3), -np.eye(3) / RADIUS]), (n, 1, 1))  # of a camera far away
+    return SpherePoints(RADIUS * d, C, d, C, by_rig, none, none, np.arange(n))
 
 
 def innovation(state, points, columns):

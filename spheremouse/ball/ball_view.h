@@ -16,11 +16,12 @@ struct BallView {
     Camera camera;
     double readout;         // s, time a rolling shutter takes over all rows
     Matrix<10> covariance;  // of the errors common to all frames, pose and ball: m, rad
+    Vector<3> focal_turn;   // rad, turn of the axes of obj by a relative change of the focal length
 };
 
 /// Read a `rig.BallView`.
 inline BallView read_ball_view(nb::handle view_) {
-    const nb::tuple view = members(view_, 11, "view");
+    const nb::tuple view = members(view_, 12, "view");
     const auto scalar = [&](int i) { return number<double>(view[i], "view"); };
     const auto [fx, fy, cx, cy] = number<std::tuple<double, double, double, double>>(view[5], "view");
     const auto k = vector<5>(view[6], "distortion");
@@ -31,7 +32,8 @@ inline BallView read_ball_view(nb::handle view_) {
             vector<3>(view[4], "position"),
             Camera{fx, fy, cx, cy, k(0), k(1), k(2), k(3), k(4), scalar(7), number<int>(view[8], "view")},
             scalar(9),
-            matrix<10, 10>(view[10], "covariance")};
+            matrix<10, 10>(view[10], "covariance"),
+            vector<3>(view[11], "focal_turn")};
 }
 
 /// A point of the ball at position + scale * ray, with a ray of unit depth in cam, written in obj.

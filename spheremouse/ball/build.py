@@ -131,6 +131,9 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             rig.ball.radius,
             considered_covariance(pose, rig.ball) + detector.shared_errors(rig, pose),
             rig.readout_sigma_s,
+            rig.camera.focal_sigma,
+            pose.by_focal,
+            pose.rotation[:, 2] * (pose.rotation[:, 2] @ -towards),
         )
     else:
         from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter

@@ -212,7 +212,8 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
         residual_px = np.hypot(*fit.residual.reshape(-1, 2).T)
         if residual_px.max() < 5.0 * sigma:
             added = fit.covariance
-            return Pose(fit.pose.rotation, fit.pose.position, pose.covariance + added, pose.ball_covariance), added
+            moved = replace(fit.pose, covariance=pose.covariance + added, ball_covariance=pose.ball_covariance)
+            return replace(moved, by_focal=pose.by_focal), added
         which = np.delete(which, int(np.argmax(residual_px)))
     return None
 

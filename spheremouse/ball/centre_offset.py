@@ -67,7 +67,7 @@ def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: floa
     p = expected[columns]
     later = p + delay[rows, None] * (hat(discs.rate) @ p[:, :, None])[:, :, 0]  # when its row was exposed
     z = (points.direction[rows] - later)[:, :, None]
-    A = np.concatenate([-hat(p), np.eye(3) - points.dposition_dball[rows, :, :3]], axis=2)
+    A = np.concatenate([-hat(p), -radius * points.ddirection_drig[rows, :, 1:]], axis=2)
     C = points.image_covariance[rows] / radius**2 + (discs.variance[columns] + _PLACE_SIGMA_RAD**2)[
         :, None, None
     ] * np.eye(3)

@@ -41,30 +41,34 @@ nb::tuple intersect(nb::handle centre_, nb::handle noise_, nb::handle view_) {
     const size_t n = met.size();
     const Rows<3> position(n), direction(n);
     const Rows<3, 3> covariance(n), image_covariance(n);
-    const Rows<3, 6> by_pose(n);
-    const Rows<3, 4> by_ball(n);
+    const Rows<3, 4> by_rig(n);
     auto delay = zeros<double>({n}), row = zeros<double>({n});
     auto index = zeros<int64_t>({n});
+    // a longer focal length shows the ball in the same place if it is farther away by the same share
+    const Vector<3> axis = view.rotation.col(2), receding = axis * axis.dot(view.centre - view.position);
     for (size_t i = 0; i < n; i++) {
         const Hit& hit = met[i].hit;
         const Vector<3> normal = (hit.point - view.centre) / view.radius;
         const Vector<3> along = hit.ray / normal.dot(hit.ray);  // the product is negative on the near side
         const Matrix<3> slide = Matrix<3>::Identity() - along * normal.transpose();
+        const Vector<2> focal(centre(met[i].index, 0) - view.camera.cx, centre(met[i].index, 1) - view.camera.cy);
         Matrix<3, 10> J;  // by pose and ball
         J << slide, -hit.scale * slide * hat(hit.ray), along * normal.transpose(), along;
         const Matrix<3, 2> by_image = hit.scale * slide * view.rotation.leftCols<2>() * met[i].dxy_duv;
         position[i] = hit.point;
         direction[i] = normal;
-        by_pose[i] = J.leftCols<6>();
-        by_ball[i] = J.rightCols<4>();
+        Matrix<3, 4> by;  // of the point relative to the centre, by focal length and centre
+        by.rightCols<3>() = J.middleCols<3>(6) - Matrix<3>::Identity();
+        by.col(0) = by.rightCols<3>() * receding - by_image * focal + view.radius * view.focal_turn.cross(normal);
+        by_rig[i] = by / view.radius;
         image_covariance[i] = propagate<2>(by_image, View<2, 2>(noise.data() + 4 * met[i].index));
         covariance[i] = image_covariance[i] + propagate<10>(J, view.covariance);
         row.data()[i] = row_of(view.camera, centre(met[i].index, 1));
         delay.data()[i] = view.readout * row.data()[i];
         index.data()[i] = int64_t(met[i].index);
     }
-    return nb::make_tuple(position.array, covariance.array, direction.array, image_covariance.array, by_pose.array,
-                          by_ball.array, delay, row, index);
+    return nb::make_tuple(position.array, covariance.array, direction.array, image_covariance.array, by_rig.array,
+                          delay, row, index);
 }
 
 nb::tuple directions_at(nb::handle uv_, nb::handle view_) {

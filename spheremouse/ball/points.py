@@ -10,9 +10,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.rig import Rig, view_of
+from spheremouse.ball.rig import BallView, Rig, view_of
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.native import kernels
 
 
@@ -32,25 +32,30 @@ class Measurement(NamedTuple):
     noise: Array  # (n, 3, 3) m², obj: covariance that is new in every frame
     delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row
     row: Array  # (n,) that row, from -1/2 to 1/2
-    dposition_dball: Array  # (n, 3, 4) of centre and radius
+    ddirection_drig: Array  # (n, 3, 4) of focal length (relative) and centre (m), as `SpherePoints` has it
     radius: float  # m
-    centre: Array  # (3,) m, of the ball from its calibrated place, for which the directions hold
+    rig_error: Array  # (4,) error of the rig for which the directions hold
 
 
 @dataclass(frozen=True, slots=True)
 class SpherePoints:
-    """First intersections of image rays with the ball, for the n detections with rays that meet it."""
+    """First intersections of image rays with the ball, for the n detections with rays that meet it.
+
+    An error of the rig is that of the focal length (relative) and that of the ball's centre (m, obj). A longer focal
+    length comes with a ball that is farther away along the optical axis by the same share, and with the axes of obj
+    that a camera with it finds. So the ball keeps its place and size in the picture, and the error of the centre is the
+    part that a picture shows.
+    """
 
     position: Array  # (n, 3) m, obj
     covariance: Array  # (n, 3, 3) m², obj: image noise, camera pose and ball together
     direction: Array  # (n, 3) unit vectors from the ball's centre, obj
     image_covariance: Array  # (n, 3, 3) m², obj: the part that is new in every frame (image noise alone)
-    dposition_dpose: Array  # (n, 3, 6) of the pose's error model: m, rad
-    dposition_dball: Array  # (n, 3, 4) of centre and radius
+    ddirection_drig: Array  # (n, 3, 4) of focal length and centre, rad and rad/m
     delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row (rolling shutter)
     row: Array  # (n,) that row, from -1/2 at the top of the image to 1/2 at its bottom
     index: NDArray[np.intp]  # (n,) into the detections
-    centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, of the ball from its calibrated place
+    rig_error: Array = field(default_factory=lambda: np.zeros(4))  # (4,) for which position and direction hold
 
     def __len__(self) -> int:
         return len(self.position)
@@ -59,27 +64,27 @@ class SpherePoints:
         """Return the entries of a mask (n,), of indices (k,) or of a slice."""
         return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)[:-1]})
 
-    def seen_from(self, centre: Array, radius: float) -> Array:
-        """Return the directions, (n, 3), from another centre, (3,) m, of a ball of `radius` m, to first order."""
-        shift = centre - self.centre
-        if not shift.any():
+    def seen_with(self, rig_error: Array) -> Array:
+        """Return the directions, (n, 3), with another error of the rig, (4,), to first order."""
+        change = rig_error - self.rig_error
+        if not change.any():
             return self.direction
-        moved = self.direction + (self.dposition_dball[:, :, :3] - np.eye(3)) @ (shift / radius)
+        moved = self.direction + self.ddirection_drig @ change
         return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
     def measurement(self, radius: float) -> Measurement:
         """Return the points on a ball of `radius` m as the filter takes them."""
-        noise, J = self.image_covariance, self.dposition_dball
-        return Measurement(self.direction, noise, self.delay, self.row, J, radius, self.centre)
+        noise, J = self.image_covariance, self.ddirection_drig
+        return Measurement(self.direction, noise, self.delay, self.row, J, radius, self.rig_error)
 
 
 def intersect(
-    detections: Centres, rig: Rig, pose: Pose, shift: Array | None = None, which: NDArray[np.intp] | None = None
+    detections: Centres, rig: Rig, pose: Pose, rig_error: Array | None = None, which: NDArray[np.intp] | None = None
 ) -> SpherePoints:
     """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).
 
-    The ball's centre is off its calibrated place by `shift` (3,) m; None: not at all. `which` (k,) are the indices of
-    the detections that count; None: all.
+    `rig_error` (4,) is the rig's error, as `SpherePoints` has it; None: none. `which` (k,) are the indices of the
+    detections that count; None: all.
 
     The result is the nearer of the two points (Wittich 2017, eq. 110-113). With F(B) = |B - K| - R = 0 and B = P + s r,
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
@@ -88,9 +93,25 @@ def intersect(
     centre, noise = detections.centre, np.ascontiguousarray(detections.covariance)
     if which is not None:
         centre, noise = centre[which], noise[which]
-    view, shift = view_of(rig, pose), np.zeros(3) if shift is None else shift
-    points = SpherePoints(*kernels.intersect(centre, noise, view._replace(centre=view.centre + shift)), shift)
+    view = view_of(rig, pose)
+    if rig_error is None:
+        points = SpherePoints(*kernels.intersect(centre, noise, view))
+    else:
+        points = SpherePoints(*kernels.intersect(centre, noise, _with_error(view, rig_error)), rig_error)
     return points if which is None else replace(points, index=which[points.index])
+
+
+def _with_error(view: BallView, rig_error: Array) -> BallView:
+    """Return the view of a ball with another focal length and centre."""
+    focal, (fx, fy, cx, cy), axis = rig_error[0], view.intrinsic, view.rotation[:, 2]
+    receding = axis * (axis @ (view.centre - view.position))
+    turn, centre = exp(focal * view.focal_turn), view.centre + focal * receding + rig_error[1:]
+    return view._replace(
+        centre=centre,
+        intrinsic=((1.0 + focal) * fx, (1.0 + focal) * fy, cx, cy),
+        rotation=turn @ view.rotation,
+        position=centre + turn @ (view.position - centre),
+    )
 
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:

@@ -297,7 +297,8 @@ def _adjust(start: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig
         component = _image_component(r, image, J @ targets @ J.T, freedom)
         covariance = covariance + (component - 1.0) * G @ image @ G.T
     with_ball = np.zeros((6, 4)) if rig.cross_covariance is None else -G @ J @ rig.cross_covariance[rows]
-    pose = Pose(fit.pose.rotation, fit.pose.position, 0.5 * (covariance + covariance.T), with_ball)
+    by_focal = -G @ (observed - (rig.camera.cx, rig.camera.cy)).ravel()
+    pose = Pose(fit.pose.rotation, fit.pose.position, 0.5 * (covariance + covariance.T), with_ball, by_focal)
     return Resection(pose, tuple(s.code for s in used), observed, r.reshape(-1, 2), factor)
 
 

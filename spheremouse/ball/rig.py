@@ -80,6 +80,7 @@ def in_metres(rig: Rig, unit: float) -> Rig:
             position=unit * pose.position,
             covariance=pose.covariance * np.outer(to_metres, to_metres),
             ball_covariance=pose.ball_covariance * to_metres[:, None] * unit,
+            by_focal=pose.by_focal * to_metres,
         )
     return replace(
         rig,
@@ -120,7 +121,14 @@ def in_axes(rig: Rig, pose: Pose, rotation: Array) -> tuple[Rig, Pose]:
         rotation @ pose.position,
         of_pose @ pose.covariance @ of_pose.T,
         of_pose @ pose.ball_covariance @ of_ball.T,
+        of_pose @ pose.by_focal,
     )
+
+
+def found_from_picture(pose: Pose, centre: Array) -> Pose:
+    """Return a pose that pictures of the ball at `centre`, (3,) m, determined: a longer focal length moves it back."""
+    axis = pose.rotation[:, 2]
+    return replace(pose, by_focal=np.concatenate([-axis * (axis @ (centre - pose.position)), np.zeros(3)]))
 
 
 def considered_covariance(pose: Pose, ball: Ball) -> Array:
@@ -142,6 +150,7 @@ class BallView(NamedTuple):
     height: int  # px
     readout: float  # s, time a rolling shutter takes over all rows
     covariance: Array  # (10, 10) of the errors common to all frames: m, rad
+    focal_turn: Array  # (3,) rad, turn of the axes of obj by a relative change of the focal length
 
 
 _latest_view: tuple[Rig | None, Pose | None, BallView | None] = (None, None, None)  # each frame asks for the same
@@ -171,4 +180,5 @@ def _view_of(rig: Rig, pose: Pose) -> BallView:
         camera.height,
         rig.readout_s,
         considered_covariance(pose, ball),
+        np.ascontiguousarray(pose.by_focal[3:]),
     )

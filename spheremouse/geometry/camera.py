@@ -51,6 +51,11 @@ class InteriorOrientation:
         return self.fx, self.fy, self.cx, self.cy
 
     @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the scale of an image, the mean of fx and fy."""
+        return float(np.sqrt(self.covariance[:2, :2].sum())) / (self.fx + self.fy)
+
+    @property
     def fold_r2(self) -> float:
         """Squared reduced radius at which the distorted radius stops growing; inf if it always grows.
 
@@ -78,6 +83,7 @@ class Pose:
     position: Array  # (3,) m, projection centre in obj
     covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))  # (6, 6) m, rad
     ball_covariance: Array = field(default_factory=lambda: np.zeros((6, 4)))  # (6, 4) with the ball's centre, radius
+    by_focal: Array = field(default_factory=lambda: np.zeros(6))  # (6,) m, rad, its error by a relative one of fx, fy
 
     def to_cam(self, points: Array) -> Array:
         """Transform points (..., 3) m from `obj` to `cam`."""

@@ -206,7 +206,7 @@ class ObservationModel:
 
 def intersect(
     centre: _Float, noise: _Float, view: tuple[object, ...]
-) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float, _Float, _Index]:
+) -> tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float, _Index]:
     """Return the fields of `SpherePoints` for pixels `centre`, (n, 2), with the covariances `noise`, (n, 2, 2) px²."""
 
 def directions_at(uv: _Float, view: tuple[object, ...]) -> tuple[_Float, _Index]:
@@ -273,7 +273,9 @@ _Sightings = tuple[_Index, _Index, _Float]
 _Activity = tuple[float, float, float, _Float, _Float, _Float]
 _Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, landmarks, their axes
 _Camera = tuple[_Float, float]  # unit vector to the camera, obj, and the least cosine with it of a disc that it sees
-_Figures = tuple[float, float, float, _Float]  # rms level of the steps, normalised innovation squared, readout, centre
+_Figures = tuple[
+    float, float, float, _Float
+]  # rms level of the steps, normalised innovation squared, readout, rig_error
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 

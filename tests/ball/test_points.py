@@ -92,18 +92,23 @@ def central_differences(f, n, h):
     return np.stack([(f(d) - f(-d)) / (2 * h) for d in h * np.eye(n)], axis=-1)
 
 
-def test_jacobians_are_finite_differences_of_the_error_model():
-    """position + d, exp(theta) @ rotation, in obj, and centre and radius of the ball."""
-    seen = detections(to_pixels(places()))
+def test_directions_change_with_the_rig_as_finite_differences_do():
+    """A longer focal length comes with a ball farther away along the optical axis, and with other axes of obj."""
+    seen, axis, turn = detections(to_pixels(places())), POSE.rotation[:, 2], np.array([0.2, -0.1, 0.3])
+    depth = axis * (axis @ (BALL.centre - POSE.position))
+    pose = replace(POSE, by_focal=np.append([0.5, 0.6, 0.7], turn))
 
-    def moved(e):
-        pose = replace(POSE, position=POSE.position + e[:3], rotation=exp(e[3:6]) @ POSE.rotation)
-        ball = replace(BALL, centre=BALL.centre + e[6:9], radius=BALL.radius + e[9])
-        return intersect(seen, replace(RIG, ball=ball), pose).position
+    def changed(e):
+        camera = replace(CAMERA, fx=(1.0 + e[0]) * CAMERA.fx, fy=(1.0 + e[0]) * CAMERA.fy)
+        ball = replace(BALL, centre=BALL.centre + e[0] * depth + e[1:])
+        return intersect(seen, replace(RIG, camera=camera, ball=ball), POSE).direction @ exp(e[0] * turn).T
 
-    points = intersect(seen, RIG, POSE)
-    J = np.concatenate([points.dposition_dpose, points.dposition_dball], axis=2)
-    assert_allclose(J, central_differences(moved, 10, 1e-6), rtol=1e-6, atol=1e-7)
+    points = intersect(seen, RIG, pose)
+    assert_allclose(points.ddirection_drig, central_differences(changed, 4, 1e-6), rtol=1e-5, atol=1e-6)
+    error = np.array([0.01, 0.002, -0.003, 0.004])
+    assert_allclose(intersect(seen, RIG, pose, error).direction, changed(error), atol=1e-12)
+    assert_allclose(points.seen_with(0.01 * error), changed(0.01 * error), atol=1e-5)
+    assert np.abs(changed(np.array([0.01, 0.0, 0.0, 0.0])) - points.direction).max() < 0.01  # the ball keeps its place
 
 
 def test_image_covariance_is_that_of_the_finite_difference():

@@ -20,7 +20,7 @@ from spheremouse.ball.pose import Sighting, describe, gather, predict_targets, r
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets, considered_covariance
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
-from spheremouse.geometry.rotation import log, tangent_basis
+from spheremouse.geometry.rotation import exp, log, tangent_basis
 
 SIGMA = 0.05  # px
 CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])
@@ -129,11 +129,15 @@ def sampled(rig, rng):
 def directions_of(d, true, true_pose, rig, pose):
     """Where directions d, (n, 3), are thought to be, and d_direction_d(pose, ball), (n, 3, 10): without image noise."""
     uv = project(true_pose.to_cam(true.ball.centre + true.ball.radius * d), true.camera)[0]
-    points = intersect(Detections(uv, np.zeros((len(uv), 2, 2)), np.full(len(uv), 100.0)), rig, pose)
-    J = np.concatenate([points.dposition_dpose, points.dposition_dball], axis=2)
-    J[:, :, 6:9] -= np.eye(3)
-    J[:, :, 9] -= points.direction
-    return points.direction, J / rig.ball.radius
+    seen = Detections(uv, np.zeros((len(uv), 2, 2)), np.full(len(uv), 100.0))
+
+    def direction(e):
+        moved = replace(pose, position=pose.position + e[:3], rotation=exp(e[3:6]) @ pose.rotation)
+        ball = replace(rig.ball, centre=rig.ball.centre + e[6:9], radius=rig.ball.radius + e[9])
+        return intersect(seen, replace(rig, ball=ball), moved).direction
+
+    steps = 1e-6 * np.eye(10)
+    return direction(np.zeros(10)), np.stack([(direction(e) - direction(-e)) / 2e-6 for e in steps], axis=-1)
 
 
 @views

@@ -63,13 +63,13 @@ class FilterState(Protocol):
         ...
 
     @property
-    def centre(self) -> Array:
-        """(3,) m, obj, of the ball from its calibrated place."""
+    def rig_error(self) -> Array:
+        """(4,) of the focal length and the ball's centre, as `SpherePoints` has it."""
         ...
 
     @property
     def centre_noise(self) -> float:
-        """m²/s per axis, by which `centre` moves at random; 0 in a good bearing."""
+        """m²/s per axis, by which the centre moves at random; 0 in a good bearing."""
         ...
 
     @property

@@ -20,9 +20,9 @@ struct Body {
     View<Dynamic, 6> basis;  // rows of (3, 2)
     View<> P;
     double readout;    // s, by which the rolling shutter takes longer than the rig says
-    Vector<3> centre;  // m, of the ball from its calibrated place
-    int known;         // discs; the others are candidates, which no point corrects
-    bool holds;        // the centre in its place
+    Vector<RIG_DIM> rig;  // relative error of the focal length, and the ball's centre from its calibrated place, m
+    int known;            // discs; the others are candidates, which no point corrects
+    bool holds;           // `rig` as it is
     int others;        // cameras that do not show this frame
 
     int size() const { return int(discs.rows()); }
@@ -41,15 +41,13 @@ struct Points {
     View<Dynamic, 9> covariance;  // m², of image noise
     Each delay;                   // s, with the estimated readout
     Eigen::Map<const Each> row;
-    View<Dynamic, 12> by_ball;
+    View<Dynamic, 3 * RIG_DIM> ddirection_drig;
     double radius;  // m
 
     int size() const { return int(direction.rows()); }
 
-    /// Effect of a shift of the ball's centre on the direction, rad/m.
-    Matrix<3> by_centre(int i) const {
-        return (View<3, 4>(by_ball.row(i).data()).leftCols<3>() - Matrix<3>::Identity()) / radius;
-    }
+    /// Effect of errors of the rig on the direction, rad and rad/m.
+    View<3, RIG_DIM> by_rig(int i) const { return View<3, RIG_DIM>(ddirection_drig.row(i).data()); }
 
     /// Image noise of the direction, rad².
     Matrix<3> noise(int i) const { return View<3, 3>(covariance.row(i).data()) / (radius * radius); }
@@ -94,7 +92,7 @@ struct Moved {
     Matrix<Dynamic, 6> basis;
     Dense P;  // of the errors about the moved state
     double readout;
-    Vector<3> centre;
+    Vector<RIG_DIM> rig;
     int known;
     bool holds;
     int others;
@@ -131,7 +129,7 @@ struct Viewer {
 
 Body read_body(nb::tuple body);
 
-/// Read the points as seen from the centre and with the readout of `body`.
+/// Read the points as seen with the rig and the readout of `body`.
 Points read_points(nb::tuple points, const Body& body);
 
 /// Read indices, (k,), below `size`. Raise an IndexError that names them.

@@ -4,8 +4,8 @@ An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the
 errors in `obj`) with an angular acceleration that lasts until the hand changes it, and discs as landmarks with their
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
 stays known and closes the loop. The camera's axes, wrong in every frame alike, are considered, not estimated (Schmidt
-1966). So is the ball's centre while it is known well and rests. A centre that moves, or that a tape measured, is
-estimated.
+1966). So are focal length and the ball's centre while they are known well and the ball rests in its place. A centre
+that moves, and lengths that a tape measured, are estimated.
 """
 
 import math
@@ -20,6 +20,7 @@ from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
     KINEMATIC_DIM,
     MAP_OFFSET,
+    RIG_DIM,
 )
 from spheremouse.ball.filters.so3_settings import (
     So3Settings,
@@ -28,7 +29,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
 )
 from spheremouse.ball.filters.so3_state import (
-    CENTRE,
+    RIG,
     WANDER_S,
     So3State,
     augment,
@@ -38,7 +39,7 @@ from spheremouse.ball.filters.so3_state import (
     omitted_variance,
     promote,
     with_candidates,
-    with_wrong_centre,
+    with_wrong_rig,
     without_candidates,
 )
 from spheremouse.ball.points import Measurement, SpherePoints
@@ -54,8 +55,8 @@ _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarit
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
-_KNOWN_CENTRE = 0.002  # radii, standard deviation of a centre that photos measured: it stays considered
-_EXACT_CENTRE = 1e-5  # of an exact rig: too little to cost anything, and yet the filter learns what depends on it
+_KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
+_EXACT_RIG = 1e-6, 1e-5  # the same of an exact rig: it costs nothing, and yet the filter learns what depends on the rig
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -88,6 +89,9 @@ class So3Filter:
     radius: float  # m, of the ball
     considered: Array = field(default_factory=lambda: np.zeros((10, 10)))  # m, rad: errors of pose, centre, radius
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
+    focal_sigma: float = 0.0  # relative, of the focal length
+    pose_by_focal: Array = field(default_factory=lambda: np.zeros(6))  # m, rad: as `Pose.by_focal` has it
+    depth: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball along the optical axis
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """Return the state at rest at `attitude`, (3, 3), the reference without error; the map is empty."""
@@ -98,33 +102,49 @@ class So3Filter:
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def common_by_pose_and_ball(self) -> Array:
-        """Return the matrix, (6, 10), from errors of pose, centre and radius to those of the centre and the axes.
+        """Return the matrix, (7, 10), from errors of pose, centre and radius to those of the rig and the axes.
 
         A picture depends on the camera's axes, and on its place seen from the ball's centre, in radii. So ten errors
         act like six: a shift of the centre (3, m), and a turn of the axes of obj (3, rad).
         """
         towards = self.towards_camera / self.horizon  # radii
-        A = np.zeros((6, 10))
-        A[3:, 3:6] = A[:3, 6:9] = np.eye(3)
-        A[:3, :3], A[:3, 3:6], A[:3, 9] = -np.eye(3), -self.radius * hat(towards), towards
+        A = np.zeros((7, 10))
+        A[4:, 3:6] = A[1:4, 6:9] = np.eye(3)
+        A[1:4, :3], A[1:4, 3:6], A[1:4, 9] = -np.eye(3), -self.radius * hat(towards), towards
         return A
 
+    def common_by_focal(self) -> Array:
+        """Return the effect, (7,), of a relative error of the focal length on the errors of rig and axes.
+
+        The error of the centre is the part that a picture shows, as `SpherePoints` has it.
+        """
+        effect = self.common_by_pose_and_ball()[:, :6] @ self.pose_by_focal
+        effect[:RIG_DIM] += np.concatenate([[1.0], -self.depth])
+        effect[RIG_DIM:] = 0.0  # the directions contain the turn of the axes
+        return effect
+
     def camera_covariance(self) -> Array:
-        """Return the covariance, (7, 7), of centre (m), axes (rad) and readout (s), before a frame shows anything."""
-        A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
-        covariance[:6, :6], covariance[6, 6] = A @ self.considered @ A.T, self.readout_sigma**2
-        if not covariance[:3, :3].any():
-            covariance[:3, :3] = (_EXACT_CENTRE * self.radius) ** 2 * np.eye(3)
+        """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
+        A, effect, covariance = (
+            self.common_by_pose_and_ball(),
+            self.common_by_focal(),
+            np.zeros((CAMERA_DIM, CAMERA_DIM)),
+        )
+        covariance[:7, :7] = A @ self.considered @ A.T + self.focal_sigma**2 * np.outer(effect, effect)
+        covariance[7, 7] = self.readout_sigma**2
+        exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
+        focal, centre = _EXACT_RIG
+        covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2
         return covariance
 
     def shared_covariance(self, other: "So3Filter") -> Array:
-        """Return the covariance, (7, 7), of those errors with those of another camera, whose rig has the same ball."""
+        """Return the covariance, (8, 8), of those errors with those of another camera, whose rig has the same ball."""
         covariance, ball = np.zeros((CAMERA_DIM, CAMERA_DIM)), self.considered[6:, 6:]
-        covariance[:6, :6] = self._common_by_ball() @ ball @ other._common_by_ball().T
+        covariance[:7, :7] = self._common_by_ball() @ ball @ other._common_by_ball().T
         return covariance
 
     def _common_by_ball(self) -> Array:
-        """Return the matrix, (6, 4), from errors of centre and radius to the expected ones of the centre and axes."""
+        """Return the matrix, (7, 4), from errors of centre and radius to the expected ones of rig and axes."""
         A, C = self.common_by_pose_and_ball(), self.considered
         return A[:, :6] @ C[:6, 6:] @ np.linalg.pinv(C[6:, 6:], hermitian=True) + A[:, 6:]
 
@@ -139,7 +159,8 @@ class So3Filter:
         )
         if state.centre_noise > 0.0:
             move_centres(joint, min(dt, WANDER_S) * state.centre_noise * np.eye(3), len(state.others))
-        known = float(np.trace(joint[CENTRE, CENTRE])) < (_KNOWN_CENTRE * self.radius) ** 2
+        focal, *centre = joint.diagonal()[RIG].tolist()
+        known = focal + sum(centre) / self.radius**2 < _KNOWN_RIG**2
 
         def carried(hidden: Array) -> Array:
             return kernels.carry_hidden(attitude, rate, state.discs, hidden, dt, self.disc_angle)
@@ -159,9 +180,9 @@ class So3Filter:
             weights,
             process,
             readout=state.readout,
-            centre=state.centre,
+            rig_error=state.rig_error,
             centre_noise=state.centre_noise,
-            holds_centre=bool(known and state.centre_noise == 0.0),
+            holds_rig=bool(known and state.centre_noise == 0.0),
             interval=interval,
             modes=modes,
             candidates=state.candidates,
@@ -172,24 +193,25 @@ class So3Filter:
         """Return the state with a ball whose centre has left its place and moves on."""
         noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
         move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
-        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_centre=False)
+        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
     def with_wrong_rig(self, state: So3State) -> So3State:
-        """Return the state with a rig whose radius or focal length is as far off as a tape measure.
-
-        Such an error shifts the centre along the line of sight.
-        """
-        along = self._along_by_tape()
-        return replace(with_wrong_centre(state, np.outer(along, along)), holds_centre=False)
+        """Return the state with a rig whose radius and focal length are as far off as by a tape measure."""
+        return replace(with_wrong_rig(state, self._covariance_by_tape()), holds_rig=False)
 
     def is_beyond_a_tape(self, state: So3State) -> bool:
-        """Return whether the centre is farther off than by three standard deviations of a length by tape."""
-        along = self._along_by_tape()
-        return bool(state.centre @ state.centre > 9.0 * along @ along)
+        """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
+        return bool(state.centre @ state.centre > 9.0 * np.trace(self._covariance_by_tape()[1:, 1:]))
 
-    def _along_by_tape(self) -> Array:
-        """Return the shift of the centre, (3,) m, by a standard deviation of a length by tape."""
-        return _TAPE_ERROR * self.radius / self.horizon * self.towards_camera
+    def _covariance_by_tape(self) -> Array:
+        """Return the covariance, (4, 4), of a rig with a radius and a focal length by tape.
+
+        An error of the radius shifts the centre along the line of sight. With a wrong focal length, pictures place the
+        camera so that the ball has its place and size.
+        """
+        radius = self.radius * self.common_by_pose_and_ball()[:RIG_DIM, 9]
+        focal = np.eye(RIG_DIM)[0]
+        return _TAPE_ERROR**2 * (np.outer(radius, radius) + np.outer(focal, focal))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
@@ -304,7 +326,7 @@ class So3Filter:
             _NO_NOISE,
             *figures,
             state.centre_noise,
-            state.holds_centre,
+            state.holds_rig,
             seen,
             missed,
         )
@@ -356,12 +378,12 @@ class So3Filter:
         return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
 
     def _measurement(self, state: So3State, points: SpherePoints) -> Measurement:
-        """Return the points as `kernels` takes them, with noise for the omitted terms of an uncertain centre."""
+        """Return the points as `kernels` takes them, with noise for the omitted terms of an uncertain rig."""
         measurement = points.measurement(self.radius)
-        if state.holds_centre or state.centre_noise > 0.0:
+        if state.holds_rig or state.centre_noise > 0.0:
             return measurement
-        by_centre = (points.dposition_dball[:, :, :3] - np.eye(3)) / self.radius
-        variance = omitted_variance(by_centre @ state.joint[CENTRE, CENTRE] @ by_centre.transpose(0, 2, 1))
+        J = points.ddirection_drig
+        variance = omitted_variance(J @ state.joint[RIG, RIG] @ J.transpose(0, 2, 1))
         added = self.radius**2 * variance[:, None, None] * np.eye(3)
         return measurement._replace(noise=measurement.noise + added)
 
@@ -390,7 +412,7 @@ class So3Filter:
             state.body, self._measurement(state, points), pairs, state.pending, activity_of(self.settings)
         )
         Q, sightings = _NO_NOISE, state.sightings
-        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_centre
+        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_rig
         others, candidates = state.others, state.candidates
         return So3State(state.stamp, *at_frame, modes=modes, candidates=candidates, others=others), log_likelihood
 

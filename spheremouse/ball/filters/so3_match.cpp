@@ -38,7 +38,7 @@ Matrix<2> place_covariance(const Body& body, const Matrix<2, 3>& H, int k, const
            H * (P.topLeftCorner<3, 3>() + added.topLeftCorner<3, 3>()) * H.transpose();
 }
 
-/// Return d z / d (rotation, rate, acceleration, centre, axes, readout) of the point i.
+/// Return d z / d (rotation, rate, acceleration, rig, axes, readout) of the point i.
 Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place) {
     Matrix<2, FIXED> J = Matrix<2, FIXED>::Zero();
     const double t = points.delay(i);
@@ -50,7 +50,7 @@ Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const P
         J.middleCols<3>(6) = 0.5 * t * J.middleCols<3>(3);
     }
     J.middleCols<3>(AXES) = -place.H;  // a turn of the axes moves the direction of the point
-    J.middleCols<3>(SHIFT) = -place.E.transpose() * points.by_centre(i);
+    J.middleCols<RIG_DIM>(RIG) = -place.E.transpose() * points.by_rig(i);
     J.col(READOUT) = place.H * body.rate * points.row(i);
     return J;
 }
@@ -171,14 +171,14 @@ Body read_body(nb::tuple body) {
     members(body, 11, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
-           number<double>(body[6], "body"),      vector<3>(body[7], "centre"),     number<int>(body[8], "body"),
+           number<double>(body[6], "body"),      vector<RIG_DIM>(body[7], "rig"),  number<int>(body[8], "body"),
            number<int>(body[9], "body") != 0,    number<int>(body[10], "body")};
     if (r.others < 0 || r.others > MOST_OTHERS) throw nb::type_error("others: must be at least 0, and few");
     const nb::ssize_t m = r.discs.rows(), n = r.map_row() + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
-        throw nb::type_error("joint: must be square, with 19 rows, 7 for each other camera and two for each disc");
+        throw nb::type_error("joint: must be square, with 20 rows, 8 for each other camera and two for each disc");
     return r;
 }
 
@@ -189,15 +189,15 @@ Points read_points(nb::tuple points, const Body& body) {
              matrices<3, 3>(points[1], "image_covariance"),
              vector(points[2], "delay"),
              row,
-             matrices<3, 4>(points[4], "dposition_dball"),
+             matrices<3, RIG_DIM>(points[4], "ddirection_drig"),
              number<double>(points[5], "points")};
-    for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.by_ball.rows()})
+    for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.ddirection_drig.rows()})
         if (n != r.size()) throw nb::type_error("points: must have one length");
     if (body.readout != 0.0) r.delay += body.readout * row;
-    const Vector<3> shift = body.centre - vector<3>(points[6], "centre");
-    if (shift.squaredNorm() > 0.0)
+    const Vector<RIG_DIM> change = body.rig - vector<RIG_DIM>(points[6], "rig");
+    if (change.squaredNorm() > 0.0)
         for (int i = 0; i < r.size(); i++)
-            r.direction.row(i) = (r.direction.row(i).transpose() + r.by_centre(i) * shift).normalized();
+            r.direction.row(i) = (r.direction.row(i).transpose() + r.by_rig(i) * change).normalized();
     return r;
 }
 

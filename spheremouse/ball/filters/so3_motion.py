@@ -2,9 +2,9 @@
 
 The errors have this order:
 - rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²),
-- the ball's centre (3, m, obj),
+- the rig: the focal length (1, relative), and the ball's centre at that focal length (3, m, obj),
 - the axes of obj (3, rad), which are considered,
-- centre, axes and rolling shutter of each other camera (7), which are considered while it shows no frame,
+- rig, axes and rolling shutter of each other camera (8), which are considered while it shows no frame,
 - the rolling shutter's time (s),
 - two for each disc in its own tangent axes (rad),
 - the reference, from whose attitude the next increment counts (3, rad, obj).
@@ -13,10 +13,11 @@ The errors have this order:
 import math
 
 KINEMATIC_DIM = 9  # rotation, rate, acceleration
-AXES = KINEMATIC_DIM + 3  # of obj, after the ball's centre
+RIG_DIM = 4  # focal length and centre
+AXES = KINEMATIC_DIM + RIG_DIM  # of obj, after the rig
 READOUT = AXES + 3  # of the rolling shutter of one camera; the errors of others come before it
 MAP_OFFSET = READOUT + 1  # of the discs' errors with one camera
-CAMERA_DIM = 7  # of another camera: centre, axes, readout
+CAMERA_DIM = 8  # of another camera: rig, axes, readout
 CLONE_DIM = 3  # at the end: of the attitude that the next motion counts from
 
 

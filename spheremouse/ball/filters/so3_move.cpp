@@ -75,7 +75,7 @@ Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
             Matrix<Dynamic, 6>(body.size(), 6),
             std::move(P),
             body.readout + dx(body.readout_row()),
-            body.centre + dx.segment<3>(SHIFT),
+            body.rig + dx.segment<RIG_DIM>(RIG),
             body.known,
             body.holds,
             body.others};
@@ -100,7 +100,7 @@ Body Moved::body() const {
             View<Dynamic, 6>(basis.data(), basis.rows(), 6),
             View<>(P.data(), P.rows(), P.cols()),
             readout,
-            centre,
+            rig,
             known,
             holds,
             others};
@@ -120,7 +120,7 @@ nb::tuple move_(nb::tuple body_, nb::handle dx_) {
     const auto dx = vector(dx_, "dx");
     if (dx.size() != body.P.rows()) throw nb::type_error("dx: must have the rows of joint");
     const Moved moved = move(body, dx, body.P);
-    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout, to_numpy(moved.centre));
+    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout, to_numpy(moved.rig));
 }
 
 }  // namespace

@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3_motion import AXES, CAMERA_DIM, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import (
+    AXES,
+    CAMERA_DIM,
+    CLONE_DIM,
+    KINEMATIC_DIM,
+    MAP_OFFSET,
+    READOUT,
+    RIG_DIM,
+)
 from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
@@ -20,8 +28,9 @@ PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between n
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 WANDER_S = 0.25  # s, after which a centre that moves is as likely to come back as to move on
-CENTRE = slice(KINEMATIC_DIM, AXES)  # errors of the centre
-COMMON = slice(KINEMATIC_DIM, READOUT)  # errors of the centre and the axes
+RIG = slice(KINEMATIC_DIM, AXES)  # errors of focal length and centre
+CENTRE = slice(KINEMATIC_DIM + 1, AXES)  # errors of the centre
+COMMON = slice(KINEMATIC_DIM, READOUT)  # errors of rig and axes
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -34,7 +43,7 @@ Modes = tuple[Array, Array, Array]
 class OtherCamera(NamedTuple):
     """Means of a camera that does not show this frame. Their errors are in `joint`."""
 
-    centre: Array  # (3,) m, obj, of the ball from the place that this camera's rig gives
+    rig_error: Array  # (4,) of this camera's rig
     readout: float  # s, by which its rolling shutter takes longer than its rig says
     hidden: Array  # (m,) probability that a disc is not to be seen from there
 
@@ -49,7 +58,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
     basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
-    joint: Array  # (19 + 7p + 2l, 19 + 7p + 2l) of the errors in the order of `so3_motion`, with p other cameras
+    joint: Array  # (20 + 8p + 2l, 20 + 8p + 2l) of the errors in the order of `so3_motion`, with p other cameras
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
@@ -59,15 +68,20 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
-    centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball from its calibrated place
-    centre_noise: float = 0.0  # m²/s per axis, by which `centre` moves at random; 0 in a good bearing
-    holds_centre: bool = False  # no update changes it
+    rig_error: Array = field(default_factory=lambda: np.zeros(RIG_DIM))  # (4,) of focal length and centre
+    centre_noise: float = 0.0  # m²/s per axis, by which the centre moves at random; 0 in a good bearing
+    holds_rig: bool = False  # no update changes `rig_error`
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
     modes: Modes | None = None  # of which attitude, rate, acceleration and joint are the moments; None: one
     candidates: NDArray[np.intp] = field(default_factory=lambda: _NONE)  # (c,) their numbers as look-alikes
     others: tuple[OtherCamera, ...] = ()  # (p,); fields without a camera are of the one that shows this frame
+
+    @property
+    def centre(self) -> Array:
+        """(3,) m, obj, of the ball from its calibrated place."""
+        return self.rig_error[1:]
 
     @property
     def map_row(self) -> int:
@@ -108,9 +122,9 @@ class So3State:
             self.basis,
             self.joint,
             self.readout,
-            self.centre,
+            self.rig_error,
             known,
-            self.holds_centre,
+            self.holds_rig,
             len(self.others),
         )
 
@@ -176,9 +190,9 @@ class So3State:
             self.manoeuvre_level,
             self.nis,
             self.readout,
-            self.centre,
+            self.rig_error,
             self.centre_noise,
-            self.holds_centre,
+            self.holds_rig,
             self.known_seen,
             self.known_missed,
             modes=self.modes,
@@ -189,14 +203,14 @@ class So3State:
     def with_reference_of(self, other: "So3State") -> "So3State":
         """Return the state with the error of the reference of `other`, which is independent of this state's errors.
 
-        It has the other cameras of that state, and the ball's centre is where that state has it. There it is as
-        uncertain as in this state, and moves as in that one.
+        It has the other cameras and the estimate of the rig of that state. The rig is as uncertain as in this state,
+        and its centre moves as in that one.
         """
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         joint[CENTRE, CENTRE] += other.centre_noise * WANDER_S * np.eye(3)
-        placed = replace(self, joint=joint, centre=other.centre, centre_noise=other.centre_noise)
+        placed = replace(self, joint=joint, rig_error=other.rig_error, centre_noise=other.centre_noise)
         return placed.with_cameras_of(other)
 
     def with_cameras_of(self, other: "So3State") -> "So3State":
@@ -207,8 +221,8 @@ class So3State:
     def with_camera(self, prior: Array) -> "So3State":
         """Return the state with one more camera.
 
-        `prior` (14 + 7p, 14 + 7p) is the covariance that centre, axes and readout of all cameras have before any frame:
-        of the camera that shows this frame, of the others, and of the new one. The new errors are the part that those
+        `prior` (16 + 8p, 16 + 8p) is the covariance that rig, axes and readout of all cameras have before any frame: of
+        the camera that shows this frame, of the others, and of the new one. The new errors are the part that those
         of the present cameras determine, and an independent rest. So frames that have corrected the present cameras
         correct the new one.
         """
@@ -217,9 +231,9 @@ class So3State:
         G = prior[k:, :k] @ np.linalg.pinv(prior[:k, :k], hermitian=True)
         known = G @ (self.joint[np.ix_(present, present)] - prior[:k, :k]) @ G.T
         cross = self.joint[:, present] @ G.T
-        means = [np.r_[each.centre, np.zeros(3), each.readout] for each in (self, *self.others)]
+        means = [np.r_[each.rig_error, np.zeros(3), each.readout] for each in (self, *self.others)]
         mean = G @ np.concatenate(means)
-        other = OtherCamera(mean[:3], float(mean[-1]), hidden)
+        other = OtherCamera(mean[:RIG_DIM], float(mean[-1]), hidden)
         state = _with_others(self, prior[k:, k:] + 0.5 * (known + known.T), (*self.others, other))
         new, old = slice(n, n + CAMERA_DIM), np.r_[:n, n + CAMERA_DIM : len(state.joint)]
         state.joint[old, new], state.joint[new, old] = cross, cross.T
@@ -232,11 +246,11 @@ class So3State:
         ours, order = np.r_[KINEMATIC_DIM:READOUT, self.map_row - 1], np.arange(len(self.joint))
         order[ours], order[theirs] = theirs, ours
         others = list(self.others)
-        others[which] = OtherCamera(self.centre, self.readout, self.hidden)
+        others[which] = OtherCamera(self.rig_error, self.readout, self.hidden)
         return replace(
             self,
             joint=self.joint[np.ix_(order, order)],
-            centre=other.centre,
+            rig_error=other.rig_error,
             readout=other.readout,
             hidden=other.hidden,
             others=tuple(others),
@@ -278,13 +292,13 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
+    """Move the state by an error vector, (24 + 2m,); then no prediction is pending.
 
-    `joint` (23 + 2m, 23 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
+    `joint` (24 + 2m, 24 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
     the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
     """
     body = state.body if joint is None else (*state.body[:5], joint, *state.body[6:])
-    motion, moved, readout, centre = kernels.move(body, dx)
+    motion, moved, readout, rig_error = kernels.move(body, dx)
     return So3State(
         state.stamp,
         *motion,
@@ -296,9 +310,9 @@ def inject(
         manoeuvre_level,
         nis,
         readout,
-        centre,
+        rig_error,
         state.centre_noise,
-        state.holds_centre,
+        state.holds_rig,
         candidates=state.candidates,
         others=state.others,
     )
@@ -375,7 +389,7 @@ def with_candidates(
     if len(index) == 0:
         return state
     points, common = points.take(index), state.map_row
-    b, k, n = points.seen_from(state.centre, radius), len(index), len(state.joint) - CLONE_DIM
+    b, k, n = points.seen_with(state.rig_error), len(index), len(state.joint) - CLONE_DIM
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
     R = exp(turn) @ state.attitude
@@ -384,16 +398,16 @@ def with_candidates(
     E = R @ basis
     turning = E.transpose(0, 2, 1) @ hat(b)
     delay, along = late[:, None, None], turning @ left_jacobian(turn)
-    by_centre = E.transpose(0, 2, 1) @ (points.dposition_dball[:, :, :3] - np.eye(3)) / radius
+    by_rig = E.transpose(0, 2, 1) @ points.ddirection_drig
     by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
     by_motion = [turning @ exp(turn), delay * along, 0.5 * delay**2 * along]
     by_others = np.zeros((k, 2, common - MAP_OFFSET))
-    G = np.concatenate([*by_motion, by_centre, -turning, by_others, by_readout], axis=2).reshape(-1, common)
+    G = np.concatenate([*by_motion, by_rig, -turning, by_others, by_readout], axis=2).reshape(-1, common)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
     if state.centre_noise == 0.0:
-        shifted = by_centre @ P[CENTRE, CENTRE] @ by_centre.transpose(0, 2, 1)
-        noise += omitted_variance(shifted)[:, None, None] * np.eye(2)
+        doubt = by_rig @ P[RIG, RIG] @ by_rig.transpose(0, 2, 1)
+        noise += omitted_variance(doubt)[:, None, None] * np.eye(2)
     joint = np.zeros((n + 2 * k + CLONE_DIM, n + 2 * k + CLONE_DIM))
     old = np.r_[:n, n + 2 * k : len(joint)]
     joint[np.ix_(old, old)] = P
@@ -443,17 +457,17 @@ def omitted_variance(covariance: Array) -> Array:
     return np.minimum(np.trace(covariance, axis1=1, axis2=2), 0.25) ** 2
 
 
-def with_wrong_centre(state: So3State, covariance: Array) -> So3State:
-    """Return the state of a ball whose centre is off its calibrated place by a further `covariance`, (3, 3) m².
+def with_wrong_rig(state: So3State, covariance: Array) -> So3State:
+    """Return the state with a rig that is wrong by a further `covariance`, (4, 4), of focal length and centre.
 
-    The conditional distribution of all other errors given that of the centre stays. So discs that were found about the
-    wrong centre have its error in common.
+    The conditional distribution of all other errors given those of the rig stays. So discs that were found with the
+    wrong rig have its errors in common.
     """
     P, first = state.joint, state.map_row
-    S = np.linalg.lstsq(P[CENTRE, CENTRE], P[CENTRE])[0].T
-    S[CENTRE] = np.eye(3)
+    S = np.linalg.lstsq(P[RIG, RIG], P[RIG])[0].T
+    S[RIG] = np.eye(RIG_DIM)
     joint = P + S @ covariance @ S.T
-    places = S[first : first + 2 * len(state.landmarks)].reshape(-1, 2, 3)
+    places = S[first : first + 2 * len(state.landmarks)].reshape(-1, 2, RIG_DIM)
     rows = np.arange(first, first + 2 * len(places))
     joint[rows, rows] += np.repeat(omitted_variance(places @ covariance @ places.transpose(0, 2, 1)), 2)
     return replace(state, joint=joint)
@@ -490,18 +504,18 @@ def _with_others(state: So3State, covariance: Array, others: tuple[OtherCamera, 
 
 def move_centres(joint: Array, covariance: Array, others: int) -> None:
     """Add the covariance, (3, 3), of a motion of the ball that all cameras see to `joint` in place."""
-    centres = [slice(at, at + 3) for at in (KINEMATIC_DIM, *(READOUT + CAMERA_DIM * k for k in range(others)))]
+    centres = [slice(at + 1, at + 4) for at in (KINEMATIC_DIM, *(READOUT + CAMERA_DIM * k for k in range(others)))]
     for one in centres:
         for other in centres:
             joint[one, other] += covariance
 
 
 def add_common(joint: Array, covariance: Array) -> None:
-    """Add the covariance, (6, 6), of independent errors of the centre and the axes to `joint` in place."""
+    """Add the covariance, (7, 7), of independent errors of rig and axes to `joint` in place."""
     joint[COMMON, COMMON] += covariance
 
 
 def forget_common(joint: Array) -> None:
-    """Remove the errors of the centre and the axes from `joint` in place."""
+    """Remove the errors of rig and axes from `joint` in place."""
     joint[COMMON] = 0.0
     joint[:, COMMON] = 0.0

@@ -19,11 +19,12 @@ namespace spheremouse::ball {
 
 // The order of the errors, `so3_motion.py`.
 constexpr int CORE = 9;                  // rotation, rate, acceleration
-constexpr int SHIFT = CORE;              // of the ball's centre
-constexpr int AXES = SHIFT + 3;          // of obj
+constexpr int RIG = CORE;                // of the rig, which the filter may estimate: focal length, centre
+constexpr int RIG_DIM = 4;               // the same, number
+constexpr int AXES = RIG + RIG_DIM;      // of obj
 constexpr int READOUT = AXES + 3;        // of one camera; the errors of others lie before it
 constexpr int MAP_OFFSET = READOUT + 1;  // the same
-constexpr int VIEW = 7;                  // errors of another camera: centre, axes, readout
+constexpr int VIEW = 8;                  // errors of another camera: rig, axes, readout
 constexpr int CLONE = 3;                 // at the end
 
 constexpr int INSTANTS = 6;  // of a step in an interval

@@ -43,8 +43,8 @@ void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = fal
 /// Rate and acceleration are a mixture of modes. The other errors are a regression on them, and its residuals have one
 /// covariance for all modes. The new covariance is that of the whole mixture.
 ///
-/// The axes keep their estimate and covariance (Schmidt 1966). So does a centre that does not move, and the readout
-/// time while the rate is not significant, and all errors of the other cameras. They are independent of the modes, so
+/// The axes keep their estimate and covariance (Schmidt 1966). So does a rig that is known well, and the readout time
+/// while the rate is not significant, and all errors of the other cameras. They are independent of the modes, so
 /// rate and acceleration are taken given them. Each hypothesis is then an ordinary update of Schmidt's filter, and
 /// their sum has a positive covariance. The reference keeps its estimate, since its increment was sent. Its covariance
 /// is the second moment about that estimate.
@@ -52,7 +52,7 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     const View<>& prior = body.P;
     const int n = int(prior.rows()), k2 = int(seen.z.size()), m = 6 + k2;
     const int apart = (is_significant(body) ? body.readout_row() : body.map_row()) - CORE;
-    const int first = body.holds ? SHIFT : AXES, held = apart - (first - CORE);
+    const int first = body.holds ? RIG : AXES, held = apart - (first - CORE);
     Dense U = prior.middleRows(CORE, apart), HU = seen.HP.middleCols(CORE, apart).transpose();
     const Dense Lc = lower<Dynamic>(prior.block(CORE, CORE, apart, apart));
     solve_lower(Lc, U);
@@ -169,7 +169,7 @@ nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
     const bool certain = r.pairs == 0 || r.pairs > PAIRS_WITHOUT_MODES;
     const nb::object modes = certain ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
     return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), to_numpy(Each(at_level.row(0))),
-                          nb::make_tuple(r.steps.level, r.nis, moved.readout, to_numpy(moved.centre)), modes);
+                          nb::make_tuple(r.steps.level, r.nis, moved.readout, to_numpy(moved.rig)), modes);
 }
 
 namespace {
@@ -191,7 +191,7 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
                                           const Innovation& seen, int round = 0) {
     const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
                      about.discs,    about.basis,       about.P,
-                     about.readout,  about.centre,      about.known,
+                     about.readout,  about.rig,         about.known,
                      about.holds,    about.others};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
@@ -200,7 +200,7 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
         return {std::move(r), std::move(moved)};
     }
     r.dx(about.readout_row()) = 0.0;
-    r.dx.segment<3>(SHIFT).setZero();  // the innovation is linear in readout and centre
+    r.dx.segment<RIG_DIM>(RIG).setZero();  // the innovation is linear in readout and rig
     Each there = mean - r.dx;
     const Moved at = move(about, r.dx, about.P, &there);
     Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
@@ -232,7 +232,7 @@ NewArray<double> since_reference(nb::handle P_, nb::handle turn_) {
     const auto P = matrix(P_, "P");
     const Vector<3> turn = vector<3>(turn_, "turn");
     if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE)
-        throw nb::type_error("P: must be square, with 19 rows or more");
+        throw nb::type_error("P: must be square, with 20 rows or more");
     const Matrix<3> J = left_jacobian(turn).inverse();
     Matrix<6, 9> A = Matrix<6, 9>::Zero();  // of rotation, rate and reference in turn and rate
     A.topLeftCorner<3, 3>() = J;

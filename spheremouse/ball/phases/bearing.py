@@ -78,11 +78,12 @@ def check_bearings(
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
     if check.evidence > _OFF or _has_wrong_rig(check) or refuted:
         events = () if check.moved else (OutOfRound(),)
-        unproven, likelier = check.turned < _PROVEN, check.odds_static > 0.0 and len(state.filter.used) >= _PAIRS
-        wrong_rig = _has_wrong_rig(check) or (unproven and not check.moved and likelier)
-        if wrong_rig:
+        unproven = check.turned < _PROVEN
+        static = unproven and not check.moved and check.odds_static > 0.0
+        wrong_rig = _has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS)
+        if wrong_rig or static:  # a few discs do not decide, so both doubts remain
             predicted = tracker.filter.with_wrong_rig(predicted)
-        else:
+        if not wrong_rig:
             predicted = _with_doubtful_map(predicted) if unproven else predicted
             predicted = tracker.filter.let_centre_move(predicted)
         state = follow(before, stamp, tracker, predicted)
@@ -94,7 +95,7 @@ def check_bearings(
     path = state.filter.centre - check.home
     if check.turned >= _PROVEN and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
-        blind = replace(blind, centre=check.home, centre_noise=0.0)
+        blind = replace(blind, rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
         state = lost(state._replace(filter=blind, centre=check), lifted_at=stamp)
         return state, (*events, BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0))
     if check.turned < _PROVEN:

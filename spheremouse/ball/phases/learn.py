@@ -70,24 +70,24 @@ def learn(
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = filtered_again(state, still, views, tracker) if len(still) else naive
-    state = _filtered_about_its_centre(state, still, views, tracker)
+    state = _filtered_with_its_rig(state, still, views, tracker)
     state, events = found(state, phase, stamp)
     return state._replace(phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _filtered_about_its_centre(
+def _filtered_with_its_rig(
     state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
 ) -> TrackState[F]:
-    """Return the state after filtering all views again about the centre that they showed, if that was uncertain.
+    """Return the state after filtering all views again with the rig that they showed, if that was uncertain.
 
     The first views placed discs about a centre that was far off. There the effect of a shift is not linear. So this is
     the Gauss-Newton iteration of a smoother over the views (Bell 1994). It ends if the attitude changes by more than
     such a shift can explain, because some views have been dropped.
     """
-    radius, assumed = tracker.rig.ball.radius, views[0].points.centre
+    unit, assumed = np.array([1.0, *[tracker.rig.ball.radius] * 3]), views[0].points.rig_error
     for _ in range(_ROUNDS):
-        shown = state.filter.centre
-        shift = float(np.linalg.norm(shown - assumed)) / radius
+        shown = state.filter.rig_error
+        shift = float(np.linalg.norm((shown - assumed) / unit))
         if shift < _LINEAR or state.filter.centre_noise > 0.0:
             break
         again = filtered_again(state, still, views, tracker)
@@ -109,8 +109,8 @@ def filtered_again(
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)
-        if (filtered.centre != points.centre).any():
-            points = intersect(view.detections, tracker.rig, tracker.pose, filtered.centre, points.index)
+        if (filtered.rig_error != points.rig_error).any():
+            points = intersect(view.detections, tracker.rig, tracker.pose, filtered.rig_error, points.index)
         state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])

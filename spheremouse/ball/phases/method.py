@@ -66,7 +66,7 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     joint, A = filtered.joint.copy(), tracker.filter.common_by_pose_and_ball()
     if added is None:
         forget_common(joint)
-        add_common(joint, A @ tracker.filter.considered @ A.T)
+        add_common(joint, tracker.filter.camera_covariance()[:-1, :-1])
     else:
         add_common(joint, A[:, :6] @ added @ A[:, :6].T)
     return replace(filtered, joint=joint)

@@ -71,9 +71,9 @@ class EulerState:
         return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
 
     @property
-    def centre(self) -> Array:
-        """(3,) m: the publication has the ball in its calibrated place."""
-        return np.zeros(3)
+    def rig_error(self) -> Array:
+        """(4,) of focal length and centre: none."""
+        return np.zeros(4)
 
     @property
     def centre_noise(self) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig
+from spheremouse.ball.rig import NO_TARGETS, UNKNOWN_READOUT, Ball, Rig, found_from_picture
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
@@ -122,7 +122,7 @@ def rig_of(outline: Outline, camera: InteriorOrientation, R_obj_cam: Array = R_O
         targets=NO_TARGETS,
         disc_radius=None,
         readout_sigma_s=UNKNOWN_READOUT,
-        pose=Pose(R_obj_cam, -R_obj_cam @ outline.centre, covariance),
+        pose=found_from_picture(Pose(R_obj_cam, -R_obj_cam @ outline.centre, covariance), np.zeros(3)),
         scale_free=True,
     )
 

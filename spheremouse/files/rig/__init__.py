@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets, found_from_picture
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig.checks import camera_problems, rig_problems
 from spheremouse.files.rig.models import (
@@ -181,7 +181,8 @@ def _pose(file: RigFile) -> Pose | None:
     if file.T_obj_cam is None:
         return None
     pose = pose_from_matrix(matrix(file.T_obj_cam, 4), matrix(file.pose_covariance, 6))
-    return dataclasses.replace(pose, ball_covariance=matrix(file.pose_ball_covariance, 6, 4))
+    pose = dataclasses.replace(pose, ball_covariance=matrix(file.pose_ball_covariance, 6, 4))
+    return found_from_picture(pose, np.array(file.ball.center))
 
 
 def _unit_rows(vectors: tuple[Vector3, ...]) -> Array:

@@ -46,7 +46,7 @@ def difference(a, b):
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
     core = [log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration]
     axes = reference = np.zeros(3)  # never corrected
-    return np.concatenate([*core, a.centre - b.centre, axes, [a.readout - b.readout], d, reference])
+    return np.concatenate([*core, a.rig_error - b.rig_error, axes, [a.readout - b.readout], d, reference])
 
 
 def error_of(state, R):
@@ -156,7 +156,7 @@ def test_predicted_covariance_is_the_scatter_of_samples(dt):
     P0[0, 4] = P0[4, 0] = 3e-4
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
     start = noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4])))
-    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((10, 10))))
+    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((11, 11))))
     predicted = noisy.predict(start, dt)
     n, steps, tau = 6000, 8, PERSISTENCE_S
     e = draw(P0, rng, n)
@@ -214,8 +214,8 @@ def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
         p = seen(R)
         some = rng.random(len(p)) < 0.6
         points = points_at(p[some], sigma, rng)
-        by_ball = 0.1 * rng.normal(size=(len(points), 3, 4))
-        points = replace(points, dposition_dball=by_ball, row=-0.5 * p[some, 1])
+        by_rig = points.ddirection_drig + 0.1 * rng.normal(size=(len(points), 3, 4))
+        points = replace(points, ddirection_drig=by_rig, row=-0.5 * p[some, 1])
         state = own.update(own.predict(state, k * 0.01), points)
         if k % 3 == 0:
             state = state.clone_attitude()

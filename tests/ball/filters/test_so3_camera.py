@@ -29,7 +29,7 @@ from so3_world import (
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
-from spheremouse.ball.filters.so3_state import CENTRE, COMMON, augment, inject, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, augment, inject, with_uncertain_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -105,16 +105,16 @@ def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
     return np.mean(squares, axis=0), used / possible
 
 
-def test_discs_found_about_a_wrong_centre_have_its_error_in_common():
-    """Given the centre, each disc is where its ray cuts a ball about it, though no frame has shown that yet."""
+def test_discs_found_with_a_wrong_rig_have_its_error_in_common():
+    """Given the rig, each disc is where its ray cuts the ball, though no frame has shown that yet."""
     rig, pose, consider = station(0.0)
     seen = detected(image_of(in_view(np.eye(3), 0.2), rig, pose), None, PIXEL)
     state = consider.initial(0.0, np.eye(3))
     for k in range(3):
         state = consider.update(consider.predict(state, k * DT), intersect(seen, rig, pose))
     P = consider.with_wrong_rig(state).joint
-    shift = 5e-4 * STATION / np.linalg.norm(STATION)
-    error = P[:, CENTRE] @ np.linalg.pinv(P[CENTRE, CENTRE]) @ shift
+    shift = np.concatenate([[2e-4], 5e-4 * STATION / np.linalg.norm(STATION)])
+    error = P[:, RIG] @ np.linalg.pinv(P[RIG, RIG]) @ shift
     given = state.discs + np.einsum("mij,mj->mi", state.basis, error[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2))
     about_it = intersect(seen, rig, pose, shift).direction
     assert np.abs(about_it - state.discs).max() > 2e-4
@@ -185,10 +185,10 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
         ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(10)[i])) for s in (1, -1)]
         z = [innovation(known, p, rows)[2] for p in ends]
         # the pose assumed is the truth less the error: what is seen moves against it
-        assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=1e-4 * np.abs(H[:, i]).max())
+        assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=2e-4 * np.abs(H[:, i]).max())
         new = [augment(bare, p, rows, RADIUS).discs for p in ends]
         slope = np.einsum("mij,mi->mj", added.basis, (new[0] - new[1]) / (2 * h)).ravel()
-        assert_allclose(ours[:, i], slope, atol=1e-4 * np.abs(slope).max())
+        assert_allclose(ours[:, i], slope, atol=2e-4 * np.abs(slope).max())
 
 
 def test_update_with_considered_errors_is_the_batch_solution():
@@ -233,13 +233,14 @@ def test_update_with_considered_errors_is_the_batch_solution():
     at = np.concatenate([np.arange(6, 15), np.arange(25, 35)])
     rest = np.concatenate([np.arange(KINEMATIC_DIM), np.arange(MAP_OFFSET, len(state.joint) - CLONE_DIM)])
     A = consider.common_by_pose_and_ball()
+    A = A[1:]  # without the focal length, which is exact
     prior, posterior = (A @ P @ A.T for P in (consider.considered, C[15:25, 15:25]))
     scale_at = np.outer(sd[at], sd[at])
     assert_allclose(state.joint[np.ix_(rest, rest)] / scale_at, C[np.ix_(at, at)] / scale_at, atol=0.02)
     spread = np.sqrt(np.diag(prior))
     cross = np.outer(sd[at], spread)
     batch = C[np.ix_(at, np.arange(15, 25))] @ A.T
-    assert_allclose(state.joint[rest, COMMON] / cross, batch / cross, atol=0.02)
+    assert_allclose(state.joint[rest, COMMON][:, 1:] / cross, batch / cross, atol=0.02)
     assert_allclose(state.joint[AXES:READOUT, AXES:READOUT], prior[3:, 3:])
     assert_allclose(
         state.joint[CENTRE, CENTRE] / np.outer(spread[:3], spread[:3]),

@@ -260,7 +260,7 @@ def test_drop_forgets_discs_and_their_rows_and_no_others():
 def test_other_errors_of_axes_and_centre_are_independent_of_the_state():
     state, _ = learnt()
     A = np.random.default_rng(8).normal(size=state.joint.shape)
-    joint, other = A + A.T, np.diag(np.arange(1.0, 7.0))
+    joint, other = A + A.T, np.diag(np.arange(1.0, 8.0))
     expected, span = joint.copy(), np.arange(KINEMATIC_DIM, READOUT)
     expected[span] = expected[:, span] = 0.0
     expected[np.ix_(span, span)] = other

@@ -49,7 +49,7 @@ def test_the_prediction_is_its_linear_model(rate, tau):
 
 def drawn(rng):
     """Draw a ball of two discs, three modes, and a player of two levels."""
-    A, discs = rng.normal(size=(23, 23)), np.eye(3)[:2]
+    A, discs = rng.normal(size=(24, 24)), np.eye(3)[:2]
     rate, acceleration = rng.normal(size=(2, 3))
     body = (
         exp(rng.normal(size=3)),
@@ -59,7 +59,7 @@ def drawn(rng):
         np.zeros((2, 3, 2)),
         A @ A.T,
         0.0,
-        np.zeros(3),
+        np.zeros(4),
         2,
         False,
         0,

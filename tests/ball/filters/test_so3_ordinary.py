@@ -72,6 +72,6 @@ def test_a_frame_without_points_is_not_ordinary():
     none = tuple(a[:0] for a in points[:5])
     sightings = np.zeros(12, dtype=int), np.zeros(12, dtype=int), np.zeros(12)
     pending = process(1e-3), 1.0 / 30.0, WEIGHTS, None
-    assert kernels.update_ordinary(body, (*none, 0.6, np.zeros(3)), CAMERA, sightings, pending, ACTIVITY) is None
+    assert kernels.update_ordinary(body, (*none, 0.6, np.zeros(4)), CAMERA, sightings, pending, ACTIVITY) is None
     with pytest.raises(TypeError, match="hidden"):
         kernels.update_ordinary(body, points, CAMERA, (*sightings[:2], np.zeros(11)), pending, ACTIVITY)

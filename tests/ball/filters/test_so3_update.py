@@ -22,7 +22,7 @@ VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
 USUAL = np.array([0.8, 0.15, 0.05])
 N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
 APART, HELD = slice(KINEMATIC_DIM, MAP_OFFSET), slice(AXES, MAP_OFFSET)
-SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 6, 1, 8, 3])
+SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 7, 1, 8, 3])
 
 
 def covariance(rng, n):
@@ -35,15 +35,15 @@ def drawn(rng, far):
     to_motion, to_apart = np.zeros((N, 6)), np.zeros((N, MAP_OFFSET - KINEMATIC_DIM))
     to_motion[3:9], to_apart[APART] = np.eye(6), np.eye(MAP_OFFSET - KINEMATIC_DIM)
     others = np.r_[0:3, MAP_OFFSET:N]
-    to_motion[others], to_apart[others] = rng.normal(size=(len(others), 6)), rng.normal(size=(len(others), 7))
-    to_apart[3:9] = rng.normal(size=(6, 7))
+    to_motion[others], to_apart[others] = rng.normal(size=(len(others), 6)), rng.normal(size=(len(others), 8))
+    to_apart[3:9] = rng.normal(size=(6, 8))
     motion = np.array([share * covariance(rng, 6) for share in (0.05, 0.1, 0.2)])
     weights = rng.dirichlet(np.ones(9)).reshape(3, 3)
     means = far * rng.normal(size=(3, 6))
     means -= weights.sum(axis=1) @ means
     own = np.zeros((N, N))
     own[np.ix_(others, others)] = covariance(rng, len(others))
-    apart = covariance(rng, 7)
+    apart = covariance(rng, 8)
     shared = to_apart @ apart @ to_apart.T + own
     of_modes = np.array([to_motion @ C @ to_motion.T + shared for C in motion]) * np.outer(SIGMA, SIGMA)
     means = means @ to_motion.T * SIGMA
@@ -55,10 +55,10 @@ def frame(rng, P, holds=False):
     discs = rng.normal(size=(4, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     rates = 0.002 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
-    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(3), 4, holds, 0
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(4), 4, holds, 0
     noise = rng.normal(size=(4, 3, 3)) * 3e-4
     row = rng.uniform(-0.5, 0.5, 4)
-    points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, rng.normal(size=(4, 3, 4)), 1.0, np.zeros(3)
+    points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, rng.normal(size=(4, 3, 4)), 1.0, np.zeros(4)
     _, H, noise = map(np.array, zip(*(linear(body, points, k, k) for k in range(4)), strict=True))
     R = block_diag(*noise) + min(np.trace(P[:3, :3]) / 3.0, 0.01) ** 2 * np.eye(8)
     return body, points, H.reshape(8, N), R
@@ -78,14 +78,14 @@ def activity(variances):
 def corrected(body, points, dt, modes):
     """Return covariance, level weights, level, modes, log likelihood, and the error vector by which the state moved."""
     pairs, pending = (np.arange(4), np.arange(4), np.zeros((9, 9))), (np.zeros((9, 9)), dt, modes[2].sum(axis=0), modes)
-    (motion, P, at_level, (level, _, readout, centre), modes), log_likelihood = kernels.correct(
+    (motion, P, at_level, (level, _, readout, rig_error), modes), log_likelihood = kernels.correct(
         body, points, pairs, pending, activity(VARIANCES)
     )
     attitude, rate, acceleration, discs, _ = motion
     along = np.einsum("kia,ki->ka", body[4], discs) / np.sum(body[3] * discs, axis=1, keepdims=True)
     dx = np.zeros(N)
     dx[:KINEMATIC_DIM] = *log(attitude @ body[0].T), *(rate - body[1]), *(acceleration - body[2])
-    dx[KINEMATIC_DIM:AXES] = centre - body[7]
+    dx[KINEMATIC_DIM:AXES] = rig_error - body[7]
     dx[READOUT], dx[MAP_OFFSET:-CLONE_DIM] = readout - body[6], along.ravel()
     return P, at_level, level, modes, log_likelihood, dx
 
@@ -252,11 +252,11 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
     rate, acceleration = rng.normal(size=(2, 3))
-    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(3), 4, False, 0
-    (attitude, new_rate, new_acceleration, moved, axes), _, readout, centre = kernels.move(body, dx)
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(4), 4, False, 0
+    (attitude, new_rate, new_acceleration, moved, axes), _, readout, rig_error = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]
-    assert_allclose(centre, 1.0 + dx[KINEMATIC_DIM:AXES])
+    assert_allclose(rig_error, 1.0 + dx[KINEMATIC_DIM:AXES])
     to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
     assert_allclose(attitude, exp(dx[:3]) @ frames[0], atol=1e-15)
     assert_allclose(moved, to / np.linalg.norm(to, axis=1, keepdims=True), atol=1e-15)

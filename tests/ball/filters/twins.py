@@ -15,12 +15,12 @@ def drawn(seed, sigma=3e-3, m=12, foreign=3) -> tuple[Any, Any]:
     rng = np.random.default_rng(seed)
     n = MAP_OFFSET + 2 * m + CLONE_DIM
     A = rng.normal(size=(n, 2 * n)) / np.sqrt(2 * n)
-    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 6, 1, 2 * m, 3])
+    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 7, 1, 2 * m, 3])
     P = A @ A.T * np.outer(scale, scale)
     discs = rng.normal(size=(m, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     motion = exp(rng.normal(size=3)), 3.0 * rng.normal(size=3), rng.normal(size=3)
-    body = *motion, discs, tangent_basis(discs), P, 2e-3, 1e-2 * rng.normal(size=3), m, False, 0
+    body = *motion, discs, tangent_basis(discs), P, 2e-3, 1e-2 * rng.normal(size=4), m, False, 0
     row, k = rng.uniform(-0.5, 0.5, m + foreign), m + foreign
     delay, radius = 0.01 * row, 0.6
     direction = [place(body, j, delay[j] + body[6] * row[j])[0] for j in range(m)] + [*rng.normal(size=(foreign, 3))]
@@ -31,8 +31,8 @@ def drawn(seed, sigma=3e-3, m=12, foreign=3) -> tuple[Any, Any]:
     noise = noise @ noise.transpose(0, 2, 1)
     order = np.flatnonzero(direction @ TOWARDS > HORIZON)
     rng.shuffle(order)
-    fields = direction, noise, delay, row, rng.normal(size=(k, 3, 4))
-    return body, (*(f[order].copy() for f in fields), radius, body[7] + 0.1 * sigma * rng.normal(size=3))
+    fields = direction, noise, delay, row, (rng.normal(size=(k, 3, 4)) - np.eye(3, 4, 1)) / radius
+    return body, (*(f[order].copy() for f in fields), radius, body[7] + 0.1 * sigma * rng.normal(size=4))
 
 
 def place(body, j, delay):
@@ -43,16 +43,16 @@ def place(body, j, delay):
     return R @ discs[j], R @ basis[j], turn
 
 
-def from_centre(body, points, i):
-    """Return the direction of the point i from the ball's centre, (3,), to first order in its shift."""
-    direction, *_, by_ball, radius, centre = points
-    moved = direction[i] + (by_ball[i, :, :3] - np.eye(3)) @ (body[7] - centre) / radius
+def seen_with_rig(body, points, i):
+    """Return the direction of the point i, (3,), with the rig of the body, to first order in its error."""
+    direction, *_, by_rig, _, rig_error = points
+    moved = direction[i] + by_rig[i] @ (body[7] - rig_error)
     return moved / np.linalg.norm(moved)
 
 
 def linear(body, points, i, j):
     """Return innovation, Jacobian by all errors, and image noise of the point i as the disc j."""
-    _, noise, delay, row, by_ball, radius, _ = points
+    _, noise, delay, row, by_rig, radius, _ = points
     t = delay[i] + body[6] * row[i]
     p, E, turn = place(body, j, t)
     turning = -E.T @ hat(p)
@@ -60,9 +60,9 @@ def linear(body, points, i, j):
     H[:, :3], H[:, 3:6] = turning @ exp(turn), t * turning @ left_jacobian(turn)
     H[:, 6:9] = 0.5 * t * H[:, 3:6]
     H[:, AXES:READOUT], H[:, READOUT] = -turning, turning @ body[1] * row[i]
-    H[:, KINEMATIC_DIM:AXES] = -E.T @ (by_ball[i, :, :3] - np.eye(3)) / radius
+    H[:, KINEMATIC_DIM:AXES] = -E.T @ by_rig[i]
     H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = np.eye(2)
-    return E.T @ from_centre(body, points, i), H, E.T @ noise[i] @ E / radius**2
+    return E.T @ seen_with_rig(body, points, i), H, E.T @ noise[i] @ E / radius**2
 
 
 def transfer(body, P, dx):

@@ -43,9 +43,7 @@ def points_at(position, covariance=None):
     C = np.tile(1e-8 * np.eye(3), (n, 1, 1)) if covariance is None else covariance
     direction = position / np.linalg.norm(position, axis=1, keepdims=True)
     nothing = np.zeros(n)
-    return SpherePoints(
-        position, C, direction, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), nothing, nothing, np.arange(n)
-    )
+    return SpherePoints(position, C, direction, C, np.zeros((n, 3, 4)), nothing, nothing, np.arange(n))
 
 
 def on_ball(*directions):
