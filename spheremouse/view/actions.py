@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from spheremouse.calibrate.guide.folder import default_folder
 from spheremouse.errors import ConfigurationError, ControlError, printable
+from spheremouse.files.calibration_folder import default_folder
 from spheremouse.files.edit import save_settings
 from spheremouse.files.exchange import defaults, exported, imported, values_of
 from spheremouse.files.figures import read_figures

@@ -17,7 +17,6 @@ from spheremouse.calibrate.guide import folder as cabinet
 from spheremouse.calibrate.guide.folder import (
     CAMERA_FILE,
     CONFIG_FILE,
-    DEFAULT,
     DEVICE_FILE,
     RIG_FILE,
     Photos,
@@ -27,6 +26,7 @@ from spheremouse.calibrate.guide.folder import (
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.files.calibration_folder import DEFAULT
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
 from spheremouse.files.yaml import shown
 

@@ -15,25 +15,24 @@ from spheremouse.calibrate.board import board_options
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.capture.nodes import default_camera, in_size
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.files.calibration_folder import (
+    BOARD,
+    CAMERA_FILE,
+    CONFIG_FILE,
+    DEVICE,
+    DEVICE_FILE,
+    RIG_FILE,
+    default_folder,
+)
 from spheremouse.files.device import untouched
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.yaml import read_document, without_schema
 from spheremouse.geometry.camera import InteriorOrientation
 
-BOARD, DEVICE = "board", "device"  # folders of photos
-CAMERA_FILE, DEVICE_FILE, RIG_FILE, CONFIG_FILE = "camera.yaml", "device.yaml", "rig.yaml", "config.yaml"
 FILM, TRUTH_FILE = "film", "truth.json"  # of a practice set: a dataset of three gestures, and the exact device
 
-DEFAULT = Path("cabinet")
-
 _MAX_TRUTH_BYTES = 1_000_000
-
-
-def default_folder() -> Path:
-    """Return the folder meant if none is named: the current one if it has contents, else `cabinet`."""
-    has_contents = any(Path(name).exists() for name in (DEVICE_FILE, CAMERA_FILE, BOARD))
-    return Path() if has_contents and not DEFAULT.exists() else DEFAULT
 
 
 @dataclass(frozen=True, slots=True)
