@@ -29,11 +29,12 @@ struct Given {
     Matrix<6, 9> Cd;  // a step d moves the mean of x by -Cd d
     Matrix<9> A;      // information on d
     Vector<9> v;
-    Vector<3> acceleration;    // rad/s², before a step
-    Matrix<Dynamic, 3> stops;  // (levels, 3) rad/s², mean of a new acceleration that stops the ball
-    double volume;             // factor of the likelihood by the determinant
-    double square;             // normalised square of z without a step, less z' R^-1 z
-    double none = 0.0;         // probability of no step
+    Vector<3> acceleration;         // rad/s², before a step
+    Matrix<Dynamic, 3> stops;       // (levels, 3) rad/s², mean of a new acceleration that stops the ball
+    Matrix<Dynamic, KINDS> priors;  // (levels, kinds) probability of a step at one instant
+    double volume;                  // factor of the likelihood by the determinant
+    double square;                  // normalised square of z without a step, less z' R^-1 z
+    double none = 0.0;              // probability of no step
     std::array<Instant, INSTANTS> instants;
 
     /// Return the share of the mode that becomes mode k without a step.
@@ -100,6 +101,19 @@ Vector<Dynamic> after_step(const Vector<Dynamic>& at_level, const Vector<Dynamic
     return r;
 }
 
+/// Return the probability of each level for a step that stops a ball at `rate`, rad/s.
+///
+/// The rate determines it, whatever the last push was. It is the lowest level of which an acceleration stops the ball
+/// until the next step on the average, or a neighbour.
+Vector<Dynamic> of_stop(const Vector<3>& rate, const Steps& steps) {
+    const Vector<Dynamic> variances = steps.variances.tail(steps.variances.size() - 1);
+    Vector<Dynamic> needed = Vector<Dynamic>::Zero(variances.size());
+    int k = 0;
+    while (k + 1 < variances.size() && 3.0 * variances(k) * steps.between * steps.between < rate.squaredNorm()) k++;
+    if (needed.size()) needed(k) = 1.0;
+    return after_step(needed, steps.usual.tail(needed.size()));
+}
+
 /// Return the mean, rad/s², of an acceleration that stops a ball at `rate`, rad/s, until the next step.
 ///
 /// It is at most as large as an acceleration of the level is on the average.
@@ -111,21 +125,22 @@ Vector<3> stopping(const Vector<3>& rate, double variance, double between) {
 ///
 /// With the matrix inversion lemma no matrix is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood
 /// ratio approach to the detection and estimation of jumps in linear systems").
-double weigh(Instant& step, const Given& given, const Vector<Dynamic>& priors, const Vector<Dynamic>& variances) {
+double weigh(Instant& step, const Given& given, const Vector<Dynamic>& variances) {
     step.B.setZero();
     step.c.setZero();
     for (int i = 0; i < 3; i++) {
         step.c += step.g(i) * given.v.segment<3>(3 * i);
         for (int k = 0; k < 3; k++) step.B += step.g(i) * step.g(k) * given.A.block<3, 3>(3 * i, 3 * k);
     }
-    step.p.setZero(priors.size(), KINDS);
-    step.square.setConstant(priors.size(), KINDS, INFINITE);
-    for (int k = 0; k < priors.size(); k++) {
-        if (!(priors(k) > 0.0)) continue;
+    step.p.setZero(variances.size(), KINDS);
+    step.square.setConstant(variances.size(), KINDS, INFINITE);
+    for (int k = 0; k < variances.size(); k++) {
+        if (!(given.priors.row(k).maxCoeff() > 0.0)) continue;
         const Matrix<3> K = Matrix<3>::Identity() + variances(k) * step.B;
         const Matrix<3> C = variances(k) * K.inverse();
-        step.p.row(k).setConstant(priors(k) / KINDS * given.volume / std::sqrt(K.determinant()));
+        step.p.row(k) = given.volume / std::sqrt(K.determinant()) * given.priors.row(k);
         for (int kind = 0; kind < KINDS; kind++) {
+            if (!(given.priors(k, kind) > 0.0)) continue;
             const Vector<3> mean = given.mean_step(k, kind), y = step.c - step.B * mean;
             step.square(k, kind) = given.square - mean.dot(step.c + y) - y.dot(C * y);
         }
@@ -281,12 +296,14 @@ Posterior posterior(const Matrix<16>& gram, const Effect& effect, const Vector<6
         kept.back()(0) = weights(0);
         one.none = kept.back().sum() * one.volume;
         const Vector<Dynamic> at_level = after_step(weights.tail(levels), steps.usual.tail(levels));
-        const Vector<Dynamic> priors = (recent * at_level.array() > NEGLIGIBLE).select(chance * at_level, 0.0);
+        one.priors = (at_level / KINDS).replicate<1, KINDS>();
+        one.priors.col(KINDS - 1) = weights.tail(levels).sum() / KINDS * of_stop(before.head<3>(), steps);
+        one.priors = (recent * KINDS * one.priors.array() > NEGLIGIBLE).select(chance * one.priors, 0.0).eval();
         least = std::min(least, one.square);
         for (int s = 0; s < INSTANTS; s++) {
             const double before = (s + 0.5) / INSTANTS * steps.interval;  // the frame, s
             one.instants[s].g = Vector<3>(0.5 * before * before, before, 1.0);
-            least = std::min(least, weigh(one.instants[s], one, priors, variances));
+            least = std::min(least, weigh(one.instants[s], one, variances));
         }
         given.push_back(std::move(one));
     }

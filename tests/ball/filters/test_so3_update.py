@@ -99,6 +99,14 @@ def stepped(at_level):
     return np.concatenate([[0.0], at_level[1:] @ move])
 
 
+def needed_to_stop(rate):
+    """Return the probabilities of the levels of a step that stops the ball: the level that it takes, or a neighbour."""
+    enough = 3.0 * VARIANCES[1:] >= rate @ rate / BETWEEN**2
+    needed = np.zeros(len(VARIANCES))
+    needed[1 + (np.argmax(enough) if enough.any() else len(enough) - 1)] = 1.0
+    return stepped(needed)
+
+
 def each_on_its_own(means, covariances, weights, H, R, z, motion, held, dt):
     """Return for each hypothesis its new mode, its level, whether it is a step, its probability, and its moments."""
     (rate, acceleration), quiet, fades = motion, np.exp(-dt / BETWEEN), min(1.0, dt / RESOLVED)
@@ -107,12 +115,13 @@ def each_on_its_own(means, covariances, weights, H, R, z, motion, held, dt):
         for level, weight in enumerate(at_level):
             for after, share in ((0, fades if mode else 1.0), (mode, 1.0 - fades)) if mode else ((0, 1.0),):
                 yield after, level, False, *schmidt(share * weight * (quiet if level else 1.0), mean, P, H, R, z, held)
-        for level, weight in enumerate(stepped(at_level)):
-            turning, before = rate + mean[3:6], acceleration + mean[6:9]
-            stopping = -turning * min(1.0 / BETWEEN, np.sqrt(3.0 * VARIANCES[level]) / np.linalg.norm(turning))
-            for instant, step in product(
-                INSTANTS, (np.zeros(3), -before, stopping - before) if recent * weight > 1e-5 else ()
-            ):
+        turning, before = rate + mean[3:6], acceleration + mean[6:9]
+        as_last, of_stop = stepped(at_level), at_level[1:].sum() * needed_to_stop(turning)
+        for level, variance in enumerate(VARIANCES):
+            stopping = -turning * min(1.0 / BETWEEN, np.sqrt(3.0 * variance) / np.linalg.norm(turning))
+            kinds = (as_last, np.zeros(3)), (as_last, -before), (of_stop, stopping - before)
+            likely = [(at[level], step) for at, step in kinds if recent * at[level] > 1e-5]
+            for instant, (weight, step) in product(INSTANTS, likely):
                 t = instant * dt
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
@@ -123,7 +132,7 @@ def each_on_its_own(means, covariances, weights, H, R, z, motion, held, dt):
                     *schmidt(
                         (1.0 - quiet) / len(INSTANTS) / 3.0 * weight,
                         mean + effect @ step,
-                        P + VARIANCES[level] * effect @ effect.T,
+                        P + variance * effect @ effect.T,
                         *(H, R, z, held),
                     ),
                 )
