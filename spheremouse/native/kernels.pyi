@@ -251,7 +251,7 @@ def measure_places(
 
 def follow_discs(
     image: _Byte, directions: _Float, model: tuple[object, ...], lattice: tuple[object, ...],
-    search: tuple[int, float, float, _Float, float], motion: tuple[_Float, float], known: _Float, least: int,
+    search: tuple[int, float, float, _Float, float], motion: tuple[_Float, float, float], known: _Float, least: int,
 ) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float, float]]:  # fmt: skip
     """Return centres, covariances and areas of the discs in an image (h, w, c), and a `search.SearchState`.
 

@@ -55,6 +55,7 @@ std::pair<DiscModel, Photo> read_model(nb::handle model, nb::handle image, doubl
 struct Motion {
     Vector<3> rate = Vector<3>::Zero();  // rad/s, obj
     double readout = 0.0;                // s, of all rows
+    double interval = 0.0;               // s since the same discs were measured before
 };
 
 Motion read_motion(nb::handle motion);
@@ -70,6 +71,7 @@ struct Expected {
 struct Fit {
     Vector<2> centroid = Vector<2>::Zero();    // px
     Matrix<2> covariance = Matrix<2>::Zero();  // px²
+    Matrix<2> by_cover = Matrix<2>::Zero();    // px², the part that a cover causes, alike until it or the disc moves
     double rim = 0.0;                          // part of the rim on the ball that fits
     bool ok = false;
 };

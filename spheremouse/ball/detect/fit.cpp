@@ -22,6 +22,7 @@ constexpr double SIZE = 0.02;          // discs cut from one sheet differ by thi
 constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may shift a rim: much of a sliver's size
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
+constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur shortens it, the same
 constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
 constexpr double LOST = 1.5;           // px², variance per part of the rim that does not fit at all
 constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
@@ -288,26 +289,36 @@ double fit_known_size(DiscFit& fit, const FitSettings& settings, double size, do
     return moved;
 }
 
-/// Return the covariance of the centre, px², without the systematic part of all discs.
-Matrix<2> covariance_of(const DiscFit& fit, const Quality& q, double noise, double size) {
+/// Set the covariance of the centre, px², without the systematic part of all discs.
+void set_covariance(Fit& result, const DiscFit& fit, const Quality& q, double noise, double size) {
     // of the pixels' noise the smoothing leaves about a half in a centre
     const double variance = std::max(q.squares / std::max(q.weight - UNKNOWNS, 1.0), 0.5 * noise * noise);
     Matrix<3> C;  // of centre and size; they are the last unknowns, so the others do not matter
     for (int j = 0; j < 3; j++) C.row(j) = solve<3>(fit.L.bottomRightCorner<3, 3>(), Vector<3>::Unit(j));
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-    const double sliver = SLIVER_BIAS / (fit.minor * fit.minor), cover = COVER_BIAS / std::pow(fit.minor, 3);
+    const double thin = 1.0 / (fit.minor * fit.minor), sliver = SLIVER_BIAS * thin;
+    const double cover = COVER_BIAS / std::pow(fit.minor, 3);
     // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only
     const Vector<2> moved = C.topRightCorner<2, 1>() / C(2, 2) * fit.rim_sigma();
-    const Matrix<2> covariance =
+    result.covariance =
         variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity() + moved * moved.transpose();
-    if (fit.shown < 1.0) return covariance + cover * cover * fit.disc.shape;
-    // An edge beside the disc that is not recognised as one of a cover passes for a rim: it shifts the size as much as
-    // the centre. Gloss fits as badly, with nothing foreign beside it. Of whole discs one in twenty fits worse.
+    if (fit.shown < 1.0) {
+        result.by_cover = cover * cover * fit.disc.shape;
+        return;
+    }
+    // Gloss fits as badly as a cover, with nothing foreign beside it. Of whole discs one in twenty fits worse.
     const double near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
-    const double larger = std::abs(fit.x(8) - size) - fit.size_sigma();
-    const double shifted = std::max(larger * fit.minor - 2.0 * sliver, 0.0);
-    const double misfit = near * MISFIT * (0.95 - 0.1 / fit.minor - q.fits);
-    return covariance + (std::max(LOST * q.lost, misfit) + near * shifted * shifted) * Matrix<2>::Identity();
+    const double misfit = std::max(LOST * q.lost, near * MISFIT * (0.95 - 0.1 / fit.minor - q.fits));
+    // An edge beside the disc that is not recognised as one of a cover passes for a rim: it shifts the size as much as
+    // the centre. A thin disc with a hidden end fits well, so only its size shows that.
+    if (fit.minor < LARGE) {
+        const double other = std::max(std::abs(fit.x(8) - size + SLIVER_SIZE * thin) - SIZE * (1.0 + thin), 0.0);
+        result.by_cover = misfit * Matrix<2>::Identity() + other * other * fit.disc.shape;
+    } else {
+        const double other = std::max(std::abs(fit.x(8) - size) - fit.size_sigma(), 0.0) * fit.minor;
+        result.by_cover = near * other * other * Matrix<2>::Identity();
+        result.covariance += misfit * Matrix<2>::Identity();
+    }
 }
 
 /// Return the part of a circle's area that a chord leaves with a part of its rim.
@@ -345,7 +356,8 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     result.rim = q.fits * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
     const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();
-    result.covariance = covariance_of(fit, q, photo.noise, size) + systematic * Matrix<2>::Identity();
+    set_covariance(result, fit, q, photo.noise, size);
+    result.covariance += result.by_cover + systematic * Matrix<2>::Identity();
     return result;
 }
 

@@ -1,4 +1,6 @@
 // Measurement of discs, each in its own window, as `windows.py` describes it.
+#include <limits>
+
 #include "spheremouse/ball/detect/disc_model.h"
 #include "spheremouse/geometry/matching.h"
 #include "spheremouse/geometry/rotation.h"
@@ -9,12 +11,27 @@ namespace {
 constexpr double EXPECTED = 0.3;    // of the contrast suffices at a place that the map predicts: glare, deep shade
 constexpr double UNEXPECTED = 0.5;  // of the usual one elsewhere: the edge of a strut has less
 constexpr double APART = 0.3;       // of a disc's diameter: of two nearer discs, the one with the worse fit is left out
+constexpr double COVER_STAYS = 1.0;  // s, after which a hand has moved
 
 /// A disc whose image is large enough and wholly in the picture.
 struct Disc {
     Appearance seen;
-    Fit fit;  // with the disc's centre in place of the centroid
+    double moved;  // diameters on the ball since the last view, as expected
+    Fit fit;       // with the disc's centre in place of the centroid
 };
+
+/// Return how far a disc moves between two views, in its diameters. A hand in front of it moves as far in a while.
+double moved(const BallView& view, const Vector<3>& direction, const Motion& motion) {
+    if (!(motion.interval > 0.0)) return std::numeric_limits<double>::infinity();
+    const double speed = motion.rate.cross(direction).norm();  // rad/s
+    return motion.interval * (speed / (2.0 * view.disc_angle) + 1.0 / COVER_STAYS);
+}
+
+/// Return the number of views of a disc in which a cover shifts its centre alike.
+///
+/// The errors of two views have a correlation c, which fades as the disc moves on by its diameter. The mean of many
+/// such errors is as exact as that of independent ones with a variance (1 + c) / (1 - c) times as large.
+double repeats(double moved) { return 1.0 / std::tanh(0.5 * moved); }
 
 /// Return a direction when its row is read.
 Vector<3> at_readout(const BallView& view, const Vector<3>& direction, const Motion& motion) {
@@ -82,7 +99,9 @@ std::vector<Measured> fit_all(const Photo& photo, std::vector<Disc>& discs, cons
     const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
     for (size_t i = 0; i < discs.size(); i++) {
         discs[i].fit = fits[i];
-        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;  // the eccentricity
+        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;                // the eccentricity
+        const double beside = (fits[i].centroid - expected[i].place).norm() / model.diameter;  // of the expected place
+        discs[i].fit.covariance += (repeats(discs[i].moved + beside) - 1.0) * fits[i].by_cover;
     }
     return best_of(discs, APART * model.diameter);
 }
@@ -98,8 +117,8 @@ std::pair<DiscModel, Photo> read_model(nb::handle given, nb::handle image, doubl
 }
 
 Motion read_motion(nb::handle given) {
-    const nb::tuple motion = members(given, 2, "motion");
-    return {vector<3>(motion[0], "rate"), number<double>(motion[1], "motion")};
+    const nb::tuple motion = members(given, 3, "motion");
+    return {vector<3>(motion[0], "rate"), number<double>(motion[1], "motion"), number<double>(motion[2], "motion")};
 }
 
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
@@ -110,7 +129,7 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
         const Vector<3> direction = at_readout(model.view, directions.row(i), motion);
         const Appearance seen = appearance(model.view, direction);
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
-        discs.push_back({seen, {}});
+        discs.push_back({seen, moved(model.view, direction, motion), {}});
         expected.push_back({seen.centroid, seen.shape, path_of(model, direction, seen.centre, motion.rate)});
     }
     return fit_all(photo, discs, expected, model, EXPECTED * std::max(model.fit.contrast, common.contrast), common);
@@ -125,7 +144,7 @@ std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vecto
         if (!hit.met) continue;
         const Appearance seen = appearance(model.view, (hit.point - model.view.centre) / model.view.radius);
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
-        discs.push_back({seen, {}});
+        discs.push_back({seen, std::numeric_limits<double>::infinity(), {}});
         expected.push_back({place, seen.shape, Vector<7>::Zero()});
     }
     Common common{0.0, usual};

@@ -43,6 +43,7 @@ class Motion(NamedTuple):
 
     rate: Array  # (3,) rad/s, w_obj
     readout: float  # s, of all rows
+    interval: float = 0.0  # s since the same discs were measured before; 0: they were not
 
 
 ANYWHERE = np.zeros((0, 2))

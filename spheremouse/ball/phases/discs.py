@@ -98,7 +98,7 @@ def detect_discs(
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     seen_enough = max(SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
     least = seen_enough if state.known_to_turn else len(known) + 1
-    motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout)
+    motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout, predicted.interval)
     found, search = detector.follow(
         frame.image, before, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
     )

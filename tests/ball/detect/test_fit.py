@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import chi2
 
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.detect.windows import FitSettings
@@ -191,6 +192,29 @@ def test_covariance_is_the_scatter(a, b, noise, most):
     expected = np.sqrt(np.diag(V.T @ np.mean(said, axis=0) @ V))
     assert np.all(expected > 0.8 * actual)
     assert np.all(expected < most * actual)
+
+
+@pytest.mark.parametrize("shade", [0.9, 1.0])
+@pytest.mark.parametrize("b", [1.5, 2.0])
+def test_the_hidden_end_of_a_thin_disc_counts_in_its_covariance(b, shade):
+    """Up to 2.5 px of an end lie behind a cover as light as the ball, which leaves no edge to see."""
+    rng = np.random.default_rng(3)
+    (x, y), mask, squares = blank(40), np.full((40, 40), 255, np.uint8), []
+    for _ in range(150):
+        angle, c = rng.uniform(0.0, np.pi), 20.0 + rng.uniform(-0.5, 0.5, 2)
+        shape = ellipse(6.5, b, angle)
+        along = (x - c[0]) * np.cos(angle) + (y - c[1]) * np.sin(angle)
+        grey = np.where(inside(x, y, c, shape), PRINT, BALL)
+        grey[along > 6.5 - rng.uniform(0.3, 2.5)] = shade * BALL
+        expected = c[None] + rng.uniform(-0.3, 0.3, (1, 2)), shape[None], np.zeros((1, 7))
+        settings = SETTINGS._replace(sigma=0.03)
+        found = Fits(*fit_discs(digital(seen(grey), 3.0, rng), mask, expected, 3.0, settings, 0.25, 1.0)[:4])
+        if found.ok[0]:
+            e = found.centroid[0] - c
+            squares.append(e @ np.linalg.solve(found.covariance[0], e))
+    assert len(squares) > 140
+    assert np.mean(squares) < 2.2
+    assert np.mean(np.array(squares) > chi2.ppf(0.99, 2)) < 0.05
 
 
 def test_what_is_no_disc_is_refused():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import BALL, CLEAN, DISCS, INK, PLAIN, POSE, RIG, TRUTH, centre_of, match, photo, ray_cast, spread
 from scipy.stats import chi2
 
@@ -205,3 +206,26 @@ def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
         assert len(nis) == 0 or np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
     assert kept[0.9] == 0
     assert kept[0.7] > 0 or level < 10.0
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_a_cover_shifts_a_disc_alike_until_it_or_the_disc_moves(speed):
+    """The mean of many errors of correlations c^k has 1 + 2 (c + c² + ...) times the variance of independent ones."""
+    cut, rate, covariances, repeats = np.arange(0, len(TRUTH), 3), np.array([0.0, 0.0, speed]), [], []
+    image = photo(behind_a_strut(cut, 110.0, 0.3, 0), 1.0)
+    first = follow(image, DISCS, rate)
+    pairs = match(first, TRUTH, 8.0)
+    is_cut = np.isin(pairs[:, 1], cut)
+    across = np.linalg.norm(np.cross(rate, DISCS[pairs[:, 1]]), axis=1)
+    beside = np.linalg.norm(first.centre[pairs[:, 0]] - TRUTH[pairs[:, 1]], axis=1) / DETECTOR.model.diameter
+    for interval in (0.01, 0.03):
+        motion = Motion(rate, 0.0, interval)
+        again = DETECTOR.follow(image, SearchState(), DISCS, motion, least=len(DISCS) + 1)[0]
+        assert_array_equal(again.centre, first.centre)
+        covariances.append((again.covariance - first.covariance)[pairs[:, 0]])
+        c = np.exp(-interval * (across / (2.0 * RIG.disc_angle) + 1.0) - beside)
+        repeats.append(2.0 * np.sum(c ** np.arange(1, 3000)[:, None], axis=0))
+    assert is_cut.sum() >= 3
+    assert np.all(np.trace(covariances[0], axis1=1, axis2=2)[is_cut] > 0.01)
+    assert np.all(np.trace(covariances[0], axis1=1, axis2=2)[~is_cut] < 1e-3)
+    assert_allclose(covariances[0] / repeats[0][:, None, None], covariances[1] / repeats[1][:, None, None], atol=1e-9)

@@ -9,8 +9,8 @@ from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import exp
 
 SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
-SIZE, RIM_OFFSET, SLIVER_BIAS, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 1.5, 0.02
-LOST, MISFIT, SMEARED = 1.5, 3.0, 2.0
+SIZE, RIM_OFFSET, SLIVER_BIAS, SLIVER_SIZE, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 0.18, 1.5, 0.02
+LOST, MISFIT, SMEARED, LARGE = 1.5, 3.0, 2.0, 3.0
 LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS, SMEARED_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10, 5
 LIFTED, TWO_SHADES, STRAY, MARGIN = 0.15, 0.8, 0.3, 2.0
 
@@ -199,9 +199,15 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
     C, sliver = np.linalg.inv(fit.N)[6:, 6:], SLIVER_BIAS / fit.minor**2
     by_rim = C[:2, 2] / C[2, 2] * rim_sigma
     near = min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
-    shifted = max((abs(fit.u[8] - size) - SIZE - rim_sigma) * fit.minor - 2.0 * sliver, 0.0)
-    misfit = max(LOST * lost, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) + near * shifted**2
-    other = misfit * np.eye(2) if fit.shown == 1.0 else (COVER_BIAS / fit.minor**3) ** 2 * shape
+    misfit = max(LOST * lost, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) * np.eye(2)
+    if fit.shown < 1.0:
+        other = (COVER_BIAS / fit.minor**3) ** 2 * shape
+    elif fit.minor < LARGE:
+        other_size = abs(fit.u[8] - size + SLIVER_SIZE / fit.minor**2) - SIZE * (1.0 + 1.0 / fit.minor**2)
+        other = misfit + max(other_size, 0.0) ** 2 * shape
+    else:
+        shifted = max(abs(fit.u[8] - size) - SIZE - rim_sigma, 0.0) * fit.minor
+        other = misfit + near * shifted**2 * np.eye(2)
     systematic = settings.sigma**2 + sliver**2 + corrected @ corrected
     covariance = variance * C[:2, :2] + systematic * np.eye(2) + np.outer(by_rim, by_rim) + other
     rim *= fit.shown
