@@ -41,10 +41,10 @@ class Measurement(NamedTuple):
 class SpherePoints:
     """First intersections of image rays with the ball, for the n detections with rays that meet it.
 
-    An error of the rig is that of the focal length (relative) and that of the ball's centre (m, obj). A longer focal
-    length comes with a ball that is farther away along the optical axis by the same share, and with the axes of obj
-    that a camera with it finds. So the ball keeps its place and size in the picture, and the error of the centre is the
-    part that a picture shows.
+    A rig error (4,) is a relative error of the focal length, and one of the ball's centre (m, obj). An error f of the
+    focal length also moves the ball away by f times its depth along the optical axis, and turns the axes of obj as a
+    pose by targets with that focal length is turned. So the ball keeps its place and size in the picture. The error of
+    the centre is the remaining shift, which a picture shows.
     """
 
     position: Array  # (n, 3) m, obj
@@ -65,7 +65,7 @@ class SpherePoints:
         return replace(self, **{f.name: getattr(self, f.name)[keep] for f in fields(self)[:-1]})
 
     def seen_with(self, rig_error: Array) -> Array:
-        """Return the directions, (n, 3), with another error of the rig, (4,), to first order."""
+        """Return the directions, (n, 3), if the error of the rig is `rig_error` (4,), to first order."""
         change = rig_error - self.rig_error
         if not change.any():
             return self.direction
@@ -81,7 +81,7 @@ class SpherePoints:
 def intersect(
     detections: Centres, rig: Rig, pose: Pose, rig_error: Array | None = None, which: NDArray[np.intp] | None = None
 ) -> SpherePoints:
-    """Intersect the rays of all detections with the ball, without rays that miss it (`index` lists the others).
+    """Intersect the rays of all detections with the ball; `index` lists those that meet it.
 
     `rig_error` (4,) is the rig's error, as `SpherePoints` has it; None: none. `which` (k,) are the indices of the
     detections that count; None: all.
@@ -102,7 +102,7 @@ def intersect(
 
 
 def _with_error(view: BallView, rig_error: Array) -> BallView:
-    """Return the view of a ball with another focal length and centre."""
+    """Return the view by a camera whose focal length, place about the ball and axes of obj differ by a rig error."""
     focal, (fx, fy, cx, cy), axis = rig_error[0], view.intrinsic, view.rotation[:, 2]
     receding = axis * (axis @ (view.centre - view.position))
     turn, centre = exp(focal * view.focal_turn), view.centre + focal * receding + rig_error[1:]

@@ -39,7 +39,7 @@ from spheremouse.ball.filters.so3_state import (
     omitted_variance,
     promote,
     with_candidates,
-    with_wrong_rig,
+    with_rig_uncertainty,
     without_candidates,
 )
 from spheremouse.ball.points import Measurement, SpherePoints
@@ -120,7 +120,7 @@ class So3Filter:
         """
         effect = self.common_by_pose_and_ball()[:, :6] @ self.pose_by_focal
         effect[:RIG_DIM] += np.concatenate([[1.0], -self.depth])
-        effect[RIG_DIM:] = 0.0  # the directions contain the turn of the axes
+        effect[RIG_DIM:] = 0.0  # `ddirection_drig` contains the turn of the axes
         return effect
 
     def camera_covariance(self) -> Array:
@@ -195,9 +195,9 @@ class So3Filter:
         move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
-    def with_wrong_rig(self, state: So3State) -> So3State:
-        """Return the state with a rig whose radius and focal length are as far off as by a tape measure."""
-        return replace(with_wrong_rig(state, self._covariance_by_tape()), holds_rig=False)
+    def with_rig_uncertainty(self, state: So3State) -> So3State:
+        """Return the state with a covariance that has the errors of a radius and focal length measured by tape."""
+        return replace(with_rig_uncertainty(state, self._covariance_by_tape()), holds_rig=False)
 
     def is_beyond_a_tape(self, state: So3State) -> bool:
         """Return whether the centre is farther off than by three standard deviations of lengths by tape."""

@@ -457,8 +457,8 @@ def omitted_variance(covariance: Array) -> Array:
     return np.minimum(np.trace(covariance, axis1=1, axis2=2), 0.25) ** 2
 
 
-def with_wrong_rig(state: So3State, covariance: Array) -> So3State:
-    """Return the state with a rig that is wrong by a further `covariance`, (4, 4), of focal length and centre.
+def with_rig_uncertainty(state: So3State, covariance: Array) -> So3State:
+    """Return the state with a further `covariance`, (4, 4), of focal length and centre. Its estimates stay.
 
     The conditional distribution of all other errors given those of the rig stays. So discs that were found with the
     wrong rig have its errors in common.

@@ -65,9 +65,10 @@ def check_bearings(
     tracker: Tracker[So3Filter],
     predicted: So3State,
 ) -> tuple[TrackState[So3State], Events]:
-    """Check the centre in a followed frame; `before` is the state before that frame, and `predicted` its filter.
+    """Check the centre in a followed frame. `before` is the state before it, `predicted` the filter predicted for it.
 
-    If the frame shows a shift, it is filtered again with a centre that moves.
+    If the frame shows a shift, filter it again with an uncertain rig, a centre that moves, or both. If the centre is
+    then too far from its usual place, report the ball lost.
     """
     if predicted.centre_noise == 0.0 and state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state):
         return state, ()
@@ -82,7 +83,7 @@ def check_bearings(
         static = unproven and not check.moved and check.odds_static > 0.0
         wrong_rig = _has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS)
         if wrong_rig or static:  # a few discs do not decide, so both doubts remain
-            predicted = tracker.filter.with_wrong_rig(predicted)
+            predicted = tracker.filter.with_rig_uncertainty(predicted)
         if not wrong_rig:
             predicted = _with_doubtful_map(predicted) if unproven else predicted
             predicted = tracker.filter.let_centre_move(predicted)
@@ -141,8 +142,9 @@ def _compared(
 ) -> CentreCheck:
     """Return the check after a frame with the odds of a rig with a wrong length.
 
-    The odds are the ratio of the likelihoods of the frame's pairs (Kass, Raftery 1995). Two discs suffice. A ball at
-    rest shows no wrong length, since its discs keep their places.
+    The odds are fading sums, in nats, of log likelihood ratios of the pairs (Kass, Raftery 1995): a wrong radius or
+    focal length against a right rig, and against a moving centre. A ball at rest shows no wrong length, since its discs
+    keep their places.
     """
     f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _OFF_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
@@ -150,10 +152,8 @@ def _compared(
     if check.turned >= _PROVEN or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
-    moving = stage.let_centre_move(predicted)
-    wrong, right, moves = (
-        stage.correct(each, state.points, pairing)[1] for each in (stage.with_wrong_rig(predicted), predicted, moving)
-    )
+    hypotheses = stage.with_rig_uncertainty(predicted), predicted, stage.let_centre_move(predicted)
+    wrong, right, moves = (stage.correct(each, state.points, pairing)[1] for each in hypotheses)
     return check._replace(
         odds=max(check.odds + min(wrong - right, _MOST_NATS), 0.0),
         odds_static=check.odds_static + min(max(wrong - moves, -_MOST_NATS), _MOST_NATS),

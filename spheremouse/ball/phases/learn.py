@@ -81,8 +81,8 @@ def _filtered_with_its_rig(
     """Return the state after filtering all views again with the rig that they showed, if that was uncertain.
 
     The first views placed discs about a centre that was far off. There the effect of a shift is not linear. So this is
-    the Gauss-Newton iteration of a smoother over the views (Bell 1994). It ends if the attitude changes by more than
-    such a shift can explain, because some views have been dropped.
+    the Gauss-Newton iteration of a smoother over the views (Bell 1994). If a round turns the attitude by more than the
+    shift explains, it has dropped views, and its result does not count.
     """
     unit, assumed = np.array([1.0, *[tracker.rig.ball.radius] * 3]), views[0].points.rig_error
     for _ in range(_ROUNDS):
@@ -105,7 +105,7 @@ def filtered_again(
     state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
     if state.centre.wrong_rig:
-        filtered = tracker.filter.with_wrong_rig(filtered)
+        filtered = tracker.filter.with_rig_uncertainty(filtered)
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)
