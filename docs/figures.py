@@ -75,8 +75,8 @@ def main(far26: Path) -> str:
     out += [
         "## Camera pose",
         "",
-        "One estimate from four targets in 30 views, with the standard deviations that it states. Table 21 of the "
-        "thesis has 0.6, 2.9 and 0.0 mm.",
+        "One estimate from four targets, with the standard deviations that it states. Table 21 of the thesis has 0.6, "
+        "2.9 and 0.0 mm.",
         "",
     ]
     rows = [

@@ -25,7 +25,7 @@ CLIP = PAGE.parents[1] / "tests" / "data" / "far26_clip"
 MOTION = "spheremouse run --source CLIP --output text:-"
 ASKED = {"help": "0.5 s, 80 MB", "next": "1 s", "status": "0.3 s", "motion": "0.8 s"}
 
-# in a process of its own: what a child is said to take at most is no less than its parent had when it began
+# in a process of its own: the peak memory of a child includes that of its parent when it began
 _WALK = """
 import json, typer.main
 from spheremouse.commands import app
