@@ -57,6 +57,7 @@ _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more poin
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
 _KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
 _EXACT_RIG = 1e-6, 1e-5  # the same of an exact rig: it costs nothing, and yet the filter learns what depends on the rig
+_STILL_S = 1.0  # s of views of a still scene that count as one view
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -378,14 +379,20 @@ class So3Filter:
         return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
 
     def _measurement(self, state: So3State, points: SpherePoints) -> Measurement:
-        """Return the points as `kernels` takes them, with noise for the omitted terms of an uncertain rig."""
+        """Return the points as `kernels` takes them, with noise for the omitted terms of an uncertain rig.
+
+        Views of a ball at rest have the same omitted terms. So a second of them counts as one view.
+        """
         measurement = points.measurement(self.radius)
         if state.holds_rig or state.centre_noise > 0.0:
             return measurement
         J = points.ddirection_drig
         variance = omitted_variance(J @ state.joint[RIG, RIG] @ J.transpose(0, 2, 1))
         added = self.radius**2 * variance[:, None, None] * np.eye(3)
-        return measurement._replace(noise=measurement.noise + added)
+        noise = measurement.noise + added
+        if not _turns(state.rate, state.joint[3:6, 3:6]):
+            noise = noise * max(_STILL_S / max(state.interval, 1e-3), 1.0)
+        return measurement._replace(noise=noise)
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
@@ -563,6 +570,11 @@ def relocate(
 def _omitted_variance(state: So3State, added: Array) -> float:
     """Return the variance, rad², of a place by terms that the linear model omits, with `added` noise of the motion."""
     return float(omitted_variance((state.joint[:3, :3] + added[:3, :3])[None])[0])
+
+
+def _turns(rate: Array, covariance: Array) -> bool:
+    """Return whether a rate, (3,), is five standard deviations from zero."""
+    return bool(rate @ np.linalg.solve(covariance, rate) > 25.0)
 
 
 def _twist_as_swing(state: So3State, column: int) -> So3State:
