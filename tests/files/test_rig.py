@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from spheremouse.ball.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.ball.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets, found_from_picture
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera, save_rig
 from spheremouse.files.yaml import read_document
@@ -58,17 +58,18 @@ def random_rig(seed, targets, known_pose, discs, correlated=True):
     whole = random_covariance(rng, 10 + n)  # pose, ball, targets
     if not correlated:
         whole = np.asarray(block_diag(whole[:6, :6], whole[6:10, 6:10], *(random_covariance(rng, 3),) * targets))
+    centre, pose = rng.normal(size=3) / 100, Pose(*place, whole[:6, :6], whole[:6, 6:10])
     interior = rng.uniform(100, 900, 4).tolist(), rng.normal(size=5) / 9, random_covariance(rng, 9)
     return Rig(
         camera=InteriorOrientation(640, 480, *interior[0], *interior[1:]),
-        ball=Ball(rng.uniform(0.5, 0.7), rng.normal(size=3) / 100, whole[6:10, 6:10]),
+        ball=Ball(rng.uniform(0.5, 0.7), centre, whole[6:10, 6:10]),
         targets=Targets(
             ids=tuple(range(3, 3 + targets)), codes=CODES[:targets], position=rng.normal(size=(targets, 3)),
             covariance=whole[10:, 10:], radii=np.sort(rng.uniform(0.01, 0.1, 3)),
             normal=Rotation.random(rng=rng).as_matrix()[2] if rng.random() < 0.5 else np.array([0.0, 0.0, 1.0])
         ),
         disc_radius=rng.uniform(0.01, 0.03) if discs or rng.random() < 0.5 else None, **shutter(rng),
-        pose=Pose(*place, whole[:6, :6], whole[:6, 6:10]) if known_pose else None,
+        pose=found_from_picture(pose, centre) if known_pose else None,
         disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
         cross_covariance=whole[10:, 6:10] if correlated and targets else None, scale_free=bool(rng.random() < 0.5)
     )  # fmt: skip
