@@ -36,6 +36,15 @@ inline BallView read_ball_view(nb::handle view_) {
             vector<3>(view[11], "focal_turn")};
 }
 
+constexpr double HANDS_STAY = 1.0;  // s, after which a hand has moved
+
+/// Return how far a disc moves in `dt` s, in its diameters. A hand in front of it moves as far in a while.
+///
+/// `rate`, rad/s, and `direction` have the same axes.
+inline double moved_from_cover(const Vector<3>& rate, const Vector<3>& direction, double dt, double disc_angle) {
+    return dt * (rate.cross(direction).norm() / (2.0 * disc_angle) + 1.0 / HANDS_STAY);
+}
+
 /// A point of the ball at position + scale * ray, with a ray of unit depth in cam, written in obj.
 struct Hit {
     Vector<3> ray, point;  // obj, m

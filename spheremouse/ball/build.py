@@ -133,7 +133,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             rig.readout_sigma_s,
             rig.camera.focal_sigma,
             pose.by_focal,
-            pose.rotation[:, 2] * (pose.rotation[:, 2] @ -towards),
+            pose.depth(rig.ball.centre),
         )
     else:
         from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter

@@ -211,9 +211,8 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
             return None
         residual_px = np.hypot(*fit.residual.reshape(-1, 2).T)
         if residual_px.max() < 5.0 * sigma:
-            added = fit.covariance
-            moved = replace(fit.pose, covariance=pose.covariance + added, ball_covariance=pose.ball_covariance)
-            return replace(moved, by_focal=pose.by_focal), added
+            rotation, position, added = fit.pose.rotation, fit.pose.position, fit.covariance
+            return replace(pose, rotation=rotation, position=position, covariance=pose.covariance + added), added
         which = np.delete(which, int(np.argmax(residual_px)))
     return None
 

@@ -93,11 +93,10 @@ def intersect(
     centre, noise = detections.centre, np.ascontiguousarray(detections.covariance)
     if which is not None:
         centre, noise = centre[which], noise[which]
-    view = view_of(rig, pose)
-    if rig_error is None:
-        points = SpherePoints(*kernels.intersect(centre, noise, view))
-    else:
-        points = SpherePoints(*kernels.intersect(centre, noise, _with_error(view, rig_error)), rig_error)
+    view, rig_error = view_of(rig, pose), np.zeros(4) if rig_error is None else rig_error
+    if rig_error.any():
+        view = _with_error(view, rig_error)
+    points = SpherePoints(*kernels.intersect(centre, noise, view), rig_error)
     return points if which is None else replace(points, index=which[points.index])
 
 

@@ -11,7 +11,6 @@ namespace {
 constexpr double EXPECTED = 0.3;    // of the contrast suffices at a place that the map predicts: glare, deep shade
 constexpr double UNEXPECTED = 0.5;  // of the usual one elsewhere: the edge of a strut has less
 constexpr double APART = 0.3;       // of a disc's diameter: of two nearer discs, the one with the worse fit is left out
-constexpr double COVER_STAYS = 1.0;  // s, after which a hand has moved
 
 /// A disc whose image is large enough and wholly in the picture.
 struct Disc {
@@ -20,11 +19,10 @@ struct Disc {
     Fit fit;       // with the disc's centre in place of the centroid
 };
 
-/// Return how far a disc moves between two views, in its diameters. A hand in front of it moves as far in a while.
+/// Return how far a disc moves between two views, in its diameters; infinite if there is no view before.
 double moved(const BallView& view, const Vector<3>& direction, const Motion& motion) {
     if (!(motion.interval > 0.0)) return std::numeric_limits<double>::infinity();
-    const double speed = motion.rate.cross(direction).norm();  // rad/s
-    return motion.interval * (speed / (2.0 * view.disc_angle) + 1.0 / COVER_STAYS);
+    return moved_from_cover(motion.rate, direction, motion.interval, view.disc_angle);
 }
 
 /// Return the number of views of a disc in which a cover shifts its centre alike.

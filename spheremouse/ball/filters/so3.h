@@ -19,11 +19,11 @@ struct Body {
     View<Dynamic, 3> discs;
     View<Dynamic, 6> basis;  // rows of (3, 2)
     View<> P;
-    double readout;    // s, by which the rolling shutter takes longer than the rig says
+    double readout;       // s, by which the rolling shutter takes longer than the rig says
     Vector<RIG_DIM> rig;  // relative error of the focal length, and the ball's centre from its calibrated place, m
     int known;            // discs; the others are candidates, which no point corrects
     bool holds;           // `rig` as it is
-    int others;        // cameras that do not show this frame
+    int others;           // cameras that do not show this frame
 
     int size() const { return int(discs.rows()); }
 

@@ -115,24 +115,20 @@ class So3Filter:
         return A
 
     def common_by_focal(self) -> Array:
-        """Return the effect, (7,), of a relative error of the focal length on the errors of rig and axes.
+        """Return the effect, (4,), of a relative error of the focal length on the errors of the rig.
 
-        The error of the centre is the part that a picture shows, as `SpherePoints` has it.
+        The error of the centre is the part that a picture shows, as `SpherePoints` has it. `ddirection_drig` contains
+        the turn of the axes.
         """
-        effect = self.common_by_pose_and_ball()[:, :6] @ self.pose_by_focal
-        effect[:RIG_DIM] += np.concatenate([[1.0], -self.depth])
-        effect[RIG_DIM:] = 0.0  # `ddirection_drig` contains the turn of the axes
-        return effect
+        by_pose = self.common_by_pose_and_ball()[:RIG_DIM, :6]
+        return np.concatenate([[1.0], -self.depth]) + by_pose @ self.pose_by_focal
 
     def camera_covariance(self) -> Array:
         """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
-        A, effect, covariance = (
-            self.common_by_pose_and_ball(),
-            self.common_by_focal(),
-            np.zeros((CAMERA_DIM, CAMERA_DIM)),
-        )
-        covariance[:7, :7] = A @ self.considered @ A.T + self.focal_sigma**2 * np.outer(effect, effect)
-        covariance[7, 7] = self.readout_sigma**2
+        A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
+        covariance[:7, :7], covariance[7, 7] = A @ self.considered @ A.T, self.readout_sigma**2
+        effect = self.focal_sigma * self.common_by_focal()
+        covariance[:RIG_DIM, :RIG_DIM] += np.outer(effect, effect)
         exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
         focal, centre = _EXACT_RIG
         covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2

@@ -4,6 +4,7 @@
 // Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005, section 4.2, the binary
 // Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed again and again while
 // the ball rests counts once: repeated views of a still scene are not independent.
+#include "spheremouse/ball/ball_view.h"
 #include "spheremouse/ball/filters/so3.h"
 
 namespace spheremouse::ball {
@@ -15,7 +16,6 @@ constexpr double DETECTED = 0.95;     // probability that a disc is detected tha
 constexpr double LIMB =
     0.1;  // cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
 constexpr double LIMB_BLUR = 0.03;       // cosine over which that changes
-constexpr double HANDS_STAY = 1.0;       // s, after which a hand has moved
 constexpr int64_t ESTABLISHED_HITS = 3;  // frames in which a disc is seen until it is established
 constexpr double MAX_TRIAL_MISSES = 3.0;
 constexpr double MAX_MISSES_PER_HIT = 5.0;
@@ -69,8 +69,7 @@ NewArray<double> carry_hidden(nb::handle attitude_, nb::handle rate_, nb::handle
     const Vector<3> rate = attitude.transpose() * vector<3>(rate_, "rate");  // ball
     Each hidden = read_hidden(hidden_, discs.rows());
     for (int k = 0; k < discs.rows(); k++) {
-        const double speed = rate.cross(Vector<3>(discs.row(k))).norm();
-        const double kept = std::exp(-dt * (speed / (2.0 * disc_angle) + 1.0 / HANDS_STAY));
+        const double kept = std::exp(-moved_from_cover(rate, discs.row(k), dt, disc_angle));
         hidden(k) = HIDDEN_SHARE + (hidden(k) - HIDDEN_SHARE) * kept;
     }
     return to_numpy(hidden);

@@ -63,12 +63,13 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     with it. Otherwise (None) the errors of pose and map are independent.
     """
     filtered = without_candidates(state.filter)
-    joint, A = filtered.joint.copy(), tracker.filter.common_by_pose_and_ball()
+    joint = filtered.joint.copy()
     if added is None:
         forget_common(joint)
         add_common(joint, tracker.filter.camera_covariance()[:-1, :-1])
     else:
-        add_common(joint, A[:, :6] @ added @ A[:, :6].T)
+        A = tracker.filter.common_by_pose_and_ball()[:, :6]
+        add_common(joint, A @ added @ A.T)
     return replace(filtered, joint=joint)
 
 
