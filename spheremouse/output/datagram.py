@@ -42,7 +42,7 @@ class DatagramOutput(Output):
                 raise self._error(e) from None
 
     def _send(self, datagram: bytes) -> None:
-        """Send a datagram, even if the system reports that nobody received an earlier one."""
+        """Send a datagram. If the system reports that it could not deliver an earlier one, send again."""
         try:
             self._socket.send(datagram)
         except ConnectionError:
