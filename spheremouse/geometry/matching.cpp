@@ -71,6 +71,18 @@ std::vector<int> match(const Worth& worth) {
     return column;
 }
 
+std::vector<int> mutual_nearest(const Matrix<Dynamic>& distance) {
+    std::vector<int> column(size_t(distance.rows()), -1);
+    if (distance.size() == 0) return column;
+    for (int i = 0; i < distance.rows(); i++) {
+        int j = 0, nearest = 0;
+        const double least = distance.row(i).minCoeff(&j);
+        distance.col(j).minCoeff(&nearest);
+        if (nearest == i && least < std::numeric_limits<double>::infinity()) column[size_t(i)] = j;
+    }
+    return column;
+}
+
 std::vector<int> suppress(const View<>& points, const Eigen::Ref<const Vector<Dynamic>>& radius, double norm) {
     std::vector<int> kept;
     for (int i = 0; i < points.rows(); i++) {
@@ -85,6 +97,9 @@ std::vector<int> suppress(const View<>& points, const Eigen::Ref<const Vector<Dy
 
 void bind_matching(nb::module_& m) {
     m.def("match", [](nb::handle worth) { return to_numpy(match(matrix(worth, "worth"))); }, arg("worth"));
+    m.def(
+        "mutual_nearest", [](nb::handle distance) { return to_numpy(mutual_nearest(matrix(distance, "distance"))); },
+        arg("distance"));
     m.def(
         "suppress",
         [](nb::handle points_, nb::handle radius_, double norm) {

@@ -1,4 +1,4 @@
-// Matching of points: one-to-one assignment, non-maximum suppression.
+// Matching of points: one-to-one assignment, mutual nearest neighbours, non-maximum suppression.
 #pragma once
 
 #include "spheremouse/native/matrices.h"
@@ -9,6 +9,11 @@ namespace spheremouse {
 ///
 /// An unpaired row is worth 0. If the best columns of all rows differ, they are the solution.
 std::vector<int> match(const Eigen::Ref<const Matrix<Dynamic>>& worth);
+
+/// Return for each row of a distance matrix, (n, m), the column if each is the other's nearest, else -1.
+///
+/// An infinite distance is no pair.
+std::vector<int> mutual_nearest(const Matrix<Dynamic>& distance);
 
 /// Return the indices of points, (n, d), that no earlier kept point has within its radius, of (n,).
 ///

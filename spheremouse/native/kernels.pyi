@@ -36,6 +36,12 @@ def match(worth: _Float) -> _Index:
     An unpaired row is worth 0. If the best columns of all rows differ, they are the solution.
     """
 
+def mutual_nearest(distance: _Float) -> _Index:
+    """Return for each row of a distance matrix, (n, m), the column if each is the other's nearest, else -1.
+
+    The distance `inf` is no pair.
+    """
+
 def suppress(points: _Float, radius: _Float, norm: float = 2.0) -> _Index:
     """Return the indices of points, (n, d), that no earlier kept point has within its radius, of (n,).
 
@@ -212,6 +218,16 @@ def intersect(
 def directions_at(uv: _Float, view: tuple[object, ...]) -> tuple[_Float, _Index]:
     """Return the directions, (k, 3) unit vectors in obj, of the points seen at pixels (n, 2), and their k indices."""
 
+# spheremouse/ball/centre_offset.cpp
+
+def shift_of(
+    points: _Points, delay: _Float, discs: tuple[_Float, _Float, _Float, _Float], reach: float
+) -> tuple[int, _Float, _Float, float, float, float] | None:
+    """Return the fields of `centre_offset.CentreOffset` for points, or None.
+
+    `centre_offset.shift_of` describes the arguments. `points` is SpherePoints.measurement, and `discs` a KnownDiscs.
+    """
+
 # spheremouse/ball/detect/appearance.cpp
 
 def appearance(
@@ -259,7 +275,7 @@ def follow_discs(
     ValueError if a sample's neighbour is outside of the image.
     """
 
-# spheremouse/ball/filters/so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_ordinary.cpp, so3_update.cpp. Errors have
+# spheremouse/ball/filters/so3_frame.cpp, so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_update.cpp. Errors have
 # the order of so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
@@ -277,6 +293,7 @@ _Figures = tuple[
     float, float, float, _Float
 ]  # rms level of the steps, normalised innovation squared, readout, rig_error
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
+_Pairs = tuple[_Index, _Index, bool, float]  # as `so3.Pairing`
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 
 def place_sigma(body: _Body, which: _Index, added: _Float) -> _Float:
@@ -295,9 +312,7 @@ def innovation(body: _Body, points: _Points, rows: _Index, columns: _Index, adde
     `added` only in the terms that the linear model omits.
     """
 
-def nearest_pairs(
-    body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity
-) -> tuple[_Index, _Index, bool, float]:
+def nearest_pairs(body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity) -> _Pairs:
     """Return the one-to-one pairs of least total distance of points and visible discs, as rows and columns.
 
     Pairs that contradict the others are left out. The pairs are those at the most likely level at which most points
@@ -334,11 +349,14 @@ def correct(
 
 RARE: float
 
-def update_ordinary(
-    body: _Body, points: _Points, camera: _Camera, sightings: _Sightings, pending: _Pending,
-    activity: _Activity,
-) -> tuple[_Corrected, _Index, _Counted] | None:  # fmt: skip
-    """Return the state corrected by a frame with certain pairs, the paired points, and the sightings; else None."""
+def update_by_frame(
+    body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity
+) -> tuple[_Corrected, _Pairs, bool]:
+    """Return the state corrected by the nearest pairs of a frame, those pairs, and whether they are certain.
+
+    Certain pairs are half of the possible ones or more, in their places, and no other pair is possible. Chance explains
+    none of them, and they turn the ball little. Errors are those of `correct`.
+    """
 
 def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float]:
     """Return the motion, the covariance, and the readout, s, of a state moved by an error vector, (23 + 2m,).
@@ -373,13 +391,15 @@ def detection_probability(attitude: _Float, discs: _Float, hidden: _Float, viewe
     """Return the probability, (m,), that each disc is detected, at R_obj_ball (3, 3)."""
 
 def count_sightings(
-    attitude: _Float, discs: _Float, sightings: _Sightings, viewer: _Viewer, columns: _Index, may_miss: bool
-) -> _Counted:
+    attitude: _Float, discs: _Float, sightings: _Sightings, viewer: _Viewer, columns: _Index, may_miss: bool,
+    disc_angle: float,
+) -> _Counted:  # fmt: skip
     """Count a frame that shows the discs `columns` in their places, and misses others if `may_miss`.
 
     A disc is missed only where it should be. So frames in which the attitude is known too badly count no miss.
     Return the sightings after the frame, a mask, (m,), of the discs to keep, the number of established discs seen, and
-    the expected number of those missed. `hidden` changes in either case.
+    the expected number of those missed. `hidden` changes in either case. A disc with its centre within `disc_angle`,
+    rad, of a disc seen more often leaves the map.
     """
 
 # spheremouse/wand/colour.cpp

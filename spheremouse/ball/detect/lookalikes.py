@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.matching import mutual_nearest
+from spheremouse.geometry.matching import are_among, mutual_nearest
 from spheremouse.geometry.rotation import Array
 
 MOVED_PX = 2.0  # displacement by the ball's rotation that shows a static candidate: many times a centre's noise
@@ -76,10 +76,15 @@ def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDA
     """
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
-    near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < MASK_RADIUS_PX
-    seen = np.where(near.any(axis=0), stamp, state.mask_seen)
+    seen = state.mask_seen
+    near: Any = _distances(centre, state.masks) < MASK_RADIUS_PX
+    hides = bool(near.any())
+    if hides:
+        seen = np.where(near.any(axis=0), stamp, seen)
     alive = stamp - seen < _MASK_LIFE_S
-    return ~near.any(axis=1), replace(state, masks=state.masks[alive], mask_seen=seen[alive])
+    if hides or not alive.all():
+        state = replace(state, masks=state.masks[alive], mask_seen=seen[alive])
+    return ~near.any(axis=1), state
 
 
 def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistractors:
@@ -99,7 +104,7 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
 
 def without_candidates(state: StaticDistractors, numbers: NDArray[np.intp]) -> StaticDistractors:
     """Forget the candidates with these `numbers`, (k,)."""
-    return replace(state, candidates=state.candidates.take(~np.isin(state.candidates.number, numbers)))
+    return replace(state, candidates=state.candidates.take(~are_among(state.candidates.number, numbers)))
 
 
 def recent(state: StaticDistractors, stamp: float) -> NDArray[np.intp]:
@@ -166,9 +171,7 @@ def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDA
 
     `centre`, (n, 2) px, are their current places, `first` their first ones, and `turned` those of discs in this frame.
     """
-    path = np.linalg.norm(turned - first, axis=1)
-    off = np.linalg.norm(centre - turned, axis=1)
-    stayed = np.linalg.norm(centre - first, axis=1)
+    path, off, stayed = (np.hypot(*(a - b).T) for a, b in ((turned, first), (centre, turned), (centre, first)))
     tell = path > MOVED_PX
     return tell & (off < TURNED_PART * path), tell & (stayed < STILL_PX) & (off > 0.5 * path)
 
@@ -179,7 +182,7 @@ def known_before_to_turn(
     """Return a mask, (n,), of `centre`, (n, 2) px: candidates proven by earlier frames, at a predicted attitude."""
     proven = np.zeros(len(centre), dtype=bool)
     candidates = state.candidates
-    if len(candidates.place) == 0:
+    if not candidates.proven.any():
         return proven
     track = _found(candidates, _expected(candidates, attitude, rig, pose), centre)
     proven[track >= 0] = candidates.proven[track[track >= 0]]
@@ -194,6 +197,10 @@ def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> 
 
 def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
     """Return for each of `centre`, (n, 2) px, the index of a candidate that stayed or turned there, (n,); -1: none."""
-    distance = [np.linalg.norm(centre[:, None] - place[None], axis=2) for place in (expected, candidates.place)]
-    nearer = np.minimum(*distance)
+    nearer = np.minimum(_distances(centre, expected), _distances(centre, candidates.place))
     return mutual_nearest(np.where(nearer < _MATCH_PX, nearer, np.inf))
+
+
+def _distances(a: Array, b: Array) -> Array:
+    """Return the distances, (n, m), of points, (n, 2) and (m, 2)."""
+    return np.hypot(*(a[:, None] - b).T).T

@@ -6,6 +6,8 @@
 
 namespace spheremouse::ball {
 
+constexpr double LINEAR = 0.02;  // rad: a correction larger than that is made again about where it led
+
 using Dense = Matrix<Dynamic>;
 using Indices = std::vector<int>;
 using Noise = Matrix<CORE>;    // process noise that the covariance does not include yet
@@ -148,13 +150,16 @@ Indices visible(const Body& body, const Viewer& viewer);
 Dense distances(const Body& body, const Points& points, const Indices& which, const Noise& added, double allowance,
                 double gate);
 
-/// Return the pairs of least total distance at a level, without those that contradict the others.
-Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending, double noise_scale,
-           double gate);
+/// Return the pairs at the expected level.
+Pairs expected_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
+                     const Activity& activity);
 
-/// Return the pairs of least total distance at the most likely level at which most points pair.
-Pairs nearest_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
-                    const Activity& activity);
+/// Return the pairs at the most likely level at which most points pair, from those at the `expected` one.
+Pairs likeliest_pairs(Pairs expected, const Body& body, const Points& points, const Viewer& viewer,
+                      const Pending& pending, const Activity& activity);
+
+/// Return `rows`, `columns`, whether they are complete, and `noise_scale`.
+nb::tuple pairs_to_numpy(const Pairs& pairs);
 
 /// Return the innovations of pairs. The noise `added` counts for the terms that the linear model omits.
 Innovation innovation(const Body& body, const Points& points, const Pairs& pairs, const Noise& added);
@@ -163,11 +168,9 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
 Pending read_pending(nb::tuple pending, const Body& body, const Activity& activity);
 Activity read_activity(nb::tuple activity);
 
-/// Correct the errors of a state by the innovations of pairs.
-Corrected correct(const Body& body, const Innovation& seen, const Pending& pending, const Activity& activity);
-
-/// Return true if a correction turns the ball by more than the range in which the innovations are linear.
-bool is_large(const Each& dx);
+/// Correct a state by the innovations of pairs.
+std::pair<Corrected, Moved> correct_by_pairs(const Body& body, const Points& points, const Pairs& pairs,
+                                             const Pending& pending, const Activity& activity);
 
 /// Return the fields of `So3State`: those from `attitude` to `basis`, `joint`, `weights`, those from `manoeuvre_level`
 /// to `readout`, and `modes`.
@@ -179,25 +182,5 @@ nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& corrected);
 Moved move(const Body& body, const Each& dx, Dense P, Each* error = nullptr);
 
 nb::tuple moved_to_numpy(const Moved& moved);
-
-/// What frames have shown of each disc.
-struct Sightings {
-    std::vector<int64_t> hits, missed;  // frames; those in a row
-    Each hidden;                        // probability that something hides it
-    std::vector<bool> keep;             // it stays on the map
-    int known_seen = 0;                 // established discs
-    double known_missed = 0.0;          // the same, expected number
-};
-
-/// Read the hits, the misses and `hidden` of m discs.
-Sightings read_sightings(nb::tuple sightings, nb::ssize_t m);
-nb::tuple sightings_to_numpy(const Sightings& sightings);
-
-/// Count a frame that shows the discs `columns` in their places.
-///
-/// If it `may_miss` others, a disc is missed only where it should be. So frames in which the attitude is known too
-/// badly count no miss.
-void count(Sightings& sightings, const Matrix<3>& attitude, const Discs& discs, const Viewer& viewer,
-           const Indices& columns, bool may_miss);
 
 }  // namespace spheremouse::ball

@@ -10,7 +10,7 @@ that moves, and lengths that a tape measured, are estimated.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from spheremouse.ball.filters.so3_state import (
     without_candidates,
 )
 from spheremouse.ball.points import Measurement, SpherePoints
-from spheremouse.geometry.matching import assign, suppress
+from spheremouse.geometry.matching import are_among, assign, suppress
 from spheremouse.geometry.rotation import Array, hat
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
@@ -267,10 +267,7 @@ class So3Filter:
         acceleration makes steps of a different size (`so3_motion`). The joint likelihood of all pairs weights the steps
         and levels.
         """
-        ordinary = self._update_ordinary(state, points, may_start_landmark)
-        if ordinary is not None:
-            return ordinary
-        corrected, pairing = self._correct_and_pair_again(state, points, self.nearest_pairs(state, points))
+        corrected, pairing, _ = self._corrected_by_frame(state, points)
         return self.keep_map(corrected, points, pairing, may_start_landmark)
 
     def update_if_certain(
@@ -280,55 +277,42 @@ class So3Filter:
 
         `may_start_landmark` is a mask (n,) of the points that may become discs.
 
-        The pairs of an ordinary frame are certain (`_update_ordinary`). In another frame at least two discs must pair,
-        and one of three conditions must hold:
+        The pairs of an ordinary frame are certain, as `kernels.update_by_frame` states it. In another frame at least
+        two discs must pair, and one of three conditions must hold:
         - the places of these discs are known well and at least half of the points pair,
         - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
-        ordinary = self._update_ordinary(state, points, may_start_landmark)
-        if ordinary is not None:
-            return ordinary
-        pairing = self.nearest_pairs(state, points)
-        if len(pairing.rows) < 2:
-            return None
-        corrected, pairing = self._correct_and_pair_again(state, points, pairing)
+        corrected, pairing, certain = self._corrected_by_frame(state, points)
+        if certain:
+            return self.keep_map(corrected, points, pairing, may_start_landmark)
         pairs = len(pairing.rows)
+        if pairs < 2:
+            return None
         most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
         more = pairs > 2 and (
             self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
         )
         return self.keep_map(corrected, points, pairing, may_start_landmark) if most or more else None
 
-    def _update_ordinary(
-        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None
-    ) -> So3State | None:
-        """Return the result of `update` for an ordinary frame; None for any other frame.
+    def _corrected_by_frame(self, state: So3State, points: SpherePoints) -> tuple[So3State, Pairing, bool]:
+        """Return the state corrected by the nearest pairs of a frame, the pairs, and whether they are certain.
 
-        An ordinary frame shows at least half of the discs near their predicted places, has unambiguous pairs, and needs
-        a small correction.
+        If doubtful pairs are not complete, the pairs that lie in their places only after the correction take part, too.
         """
         camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
-        measurement = self._measurement(state, points)
-        updated = kernels.update_ordinary(state.body, measurement, camera, state.sightings, state.pending, activity)
-        if updated is None:
-            return None
-        (motion, joint, weights, figures, modes), rows, (sightings, keep, seen, missed) = updated
-        at_frame = (
-            *motion,
-            joint,
-            *sightings,
-            rows,
-            weights,
-            _NO_NOISE,
-            *figures,
-            state.centre_noise,
-            state.holds_rig,
-            seen,
-            missed,
+        given, pairs, certain = kernels.update_by_frame(
+            state.body, self._measurement(state, points), camera, state.pending, activity
         )
-        state = So3State(state.stamp, *at_frame, modes=modes, candidates=state.candidates, others=state.others)
-        return self._with_new_discs(state, keep, points, rows, may_start_landmark)
+        pairing = Pairing(*pairs)
+        corrected = _with_twist(_corrected(state, given, pairing), pairing)
+        if certain or pairing.complete:
+            return corrected, pairing, certain
+        again = self.nearest_pairs(corrected, points)
+        if len(again.rows) <= len(pairing.rows):
+            return corrected, pairing, certain
+        again = again._replace(noise_scale=1.0)  # the other is for the corrected state
+        return self.correct(state, points, again)[0], again, certain
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
         """Return the pairs of least total distance, at the most likely level at which most points pair."""
@@ -336,19 +320,6 @@ class So3Filter:
         return Pairing(
             *kernels.nearest_pairs(state.body, self._measurement(state, points), camera, state.pending, activity)
         )
-
-    def _correct_and_pair_again(
-        self, state: So3State, points: SpherePoints, pairing: Pairing
-    ) -> tuple[So3State, Pairing]:
-        """Return the state corrected by the pairs, and by those that lie in their places only after the correction."""
-        corrected, _ = self.correct(state, points, pairing)
-        if pairing.complete:
-            return corrected, pairing
-        again = self.nearest_pairs(corrected, points)
-        if len(again.rows) <= len(pairing.rows):
-            return corrected, pairing
-        again = again._replace(noise_scale=1.0)  # the other is for the corrected state
-        return self.correct(state, points, again)[0], again
 
     def _others_agree(self, corrected: So3State, points: int) -> bool:
         """Return whether the pairs beyond the first two are significant, given the attitude from those two.
@@ -405,19 +376,15 @@ class So3Filter:
         A large correction is made again about the state it leads to.
         """
         corrected, log_likelihood = self._corrected(state, points, pairing)
-        columns = pairing.columns
-        return (_twist_as_swing(corrected, columns[0]) if len(columns) == 1 else corrected), log_likelihood
+        return _with_twist(corrected, pairing), log_likelihood
 
     def _corrected(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         rows, columns = pairing.rows, pairing.columns
         pairs = rows, columns, self._added_noise(state, pairing.noise_scale)
-        (motion, joint, weights, figures, modes), log_likelihood = kernels.correct(
+        given, log_likelihood = kernels.correct(
             state.body, self._measurement(state, points), pairs, state.pending, activity_of(self.settings)
         )
-        Q, sightings = _NO_NOISE, state.sightings
-        at_frame = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_rig
-        others, candidates = state.others, state.candidates
-        return So3State(state.stamp, *at_frame, modes=modes, candidates=candidates, others=others), log_likelihood
+        return _corrected(state, given, pairing), log_likelihood
 
     def keep_map(
         self,
@@ -431,25 +398,19 @@ class So3Filter:
         `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
         """
         (hits, missed, hidden), keep, known_seen, known_missed = kernels.count_sightings(
-            state.attitude, state.discs, state.sightings, self._viewer(state), pairing.columns, len(points) > 0
+            state.attitude,
+            state.discs,
+            state.sightings,
+            self._viewer(state),
+            pairing.columns,
+            len(points) > 0,
+            self.disc_angle,
         )
-        keep &= self._is_apart(state.discs, hits)
-        counted = replace(
+        state = replace(
             state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
         )
-        return self._with_new_discs(counted, keep, points, pairing.rows, may_start_landmark)
-
-    def _with_new_discs(
-        self,
-        state: So3State,
-        keep: NDArray[np.bool_],
-        points: SpherePoints,
-        rows: NDArray[np.intp],
-        may_start_landmark: NDArray[np.bool_] | None,
-    ) -> So3State:
-        """Return the state without the discs outside of a mask, (m,), and with those points as discs that may be."""
         free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
-        new = self._new_discs(state, points, free, rows)
+        new = self._new_discs(state, points, free, pairing.rows)
         state = drop(state, keep)
         new = new[: self._room(state)]
         if len(new) and len(state.candidates) and state.is_placed:  # else no place identifies a candidate
@@ -459,23 +420,14 @@ class So3Filter:
             new = np.delete(new, rows)
         return augment(state, points, new, self.radius)
 
-    def _is_apart(self, discs: Array, hits: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return a mask, (m,), without the discs that have their centre on another disc, seen more often.
-
-        That is a disc taken for a new one at a false attitude. Its place changes to the right one with the attitude.
-        """
-        keep, order = np.zeros(len(discs), dtype=np.bool_), np.argsort(-hits, kind="stable")
-        keep[order[suppress(discs[order], np.full(len(discs), 2.0 * math.sin(0.5 * self.disc_angle)))]] = True
-        return keep
-
     def follow_candidates(self, state: So3State, points: SpherePoints, seen: CandidatePoints) -> So3State:
         """Return the state after a frame's candidates. Those that turn with the ball become discs.
 
         The state includes a candidate from its first sighting on. Once it is a disc, both sightings correct the state.
         A candidate outside of the gate about its predicted place does not turn with the ball.
         """
-        turning = np.isin(seen.rows, self._free(state, points, seen.rows[seen.turning]))
-        known = np.isin(seen.numbers, state.candidates)
+        turning = are_among(seen.rows, self._free(state, points, seen.rows[seen.turning]))
+        known = are_among(seen.numbers, state.candidates)
         if (turning & known).any():
             rows = seen.rows[turning & known]
             which = np.argmax(state.candidates == seen.numbers[turning & known, None], axis=1)
@@ -561,6 +513,20 @@ def relocate(
         process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)),
         modes=None,
     )
+
+
+def _corrected(state: So3State, given: tuple[Any, ...], pairing: Pairing) -> So3State:
+    """Return the state with what `kernels` has corrected by pairs."""
+    motion, joint, weights, figures, modes = given
+    Q, sightings, rows = _NO_NOISE, state.sightings, pairing.rows
+    at_frame: Any = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_rig
+    others, candidates = state.others, state.candidates
+    return So3State(state.stamp, *at_frame, modes=modes, candidates=candidates, others=others)
+
+
+def _with_twist(corrected: So3State, pairing: Pairing) -> So3State:
+    """Return the state after a frame's pairs. If they are one, it has a twist about that disc."""
+    return _twist_as_swing(corrected, pairing.columns[0]) if len(pairing.columns) == 1 else corrected
 
 
 def _omitted_variance(state: So3State, added: Array) -> float:

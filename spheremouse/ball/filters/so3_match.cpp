@@ -295,6 +295,10 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
     return r;
 }
 
+namespace {
+
+/// Return the pairs of least total distance at a level.
+///
 /// Each pair alone may pass the gate. A pair that contradicts the others is left out.
 Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending, double noise_scale,
            double gate) {
@@ -328,12 +332,18 @@ Pairs pair(const Body& body, const Points& points, const Viewer& viewer, const P
     return r;
 }
 
-Pairs nearest_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
-                    const Activity& activity) {
+}  // namespace
+
+Pairs expected_pairs(const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
+                     const Activity& activity) {
+    return pair(body, points, viewer, pending, pending.weights.dot(activity.squares()), activity.gate);
+}
+
+Pairs likeliest_pairs(Pairs best, const Body& body, const Points& points, const Viewer& viewer, const Pending& pending,
+                      const Activity& activity) {
+    if (best.complete() || pending.process(3, 3) == 0.0) return best;
     const Each squares = activity.squares();
     const double expected = pending.weights.dot(squares);
-    Pairs best = pair(body, points, viewer, pending, expected, activity.gate);
-    if (best.complete() || pending.process(3, 3) == 0.0) return best;
     const double foreign = points.size() / (2.0 * M_PI * (1.0 - viewer.horizon));  // 1/rad², points that are no disc
     double most = log_likelihood(best.innovation, pending.added(expected), foreign);
     for (int k = 0; k < squares.size() && !best.complete(); k++) {
@@ -344,6 +354,10 @@ Pairs nearest_pairs(const Body& body, const Points& points, const Viewer& viewer
         if (value > most) best = std::move(pairs), most = value;
     }
     return best;
+}
+
+nb::tuple pairs_to_numpy(const Pairs& r) {
+    return nb::make_tuple(to_numpy(r.rows), to_numpy(r.columns), r.complete(), r.noise_scale);
 }
 
 namespace {
@@ -377,8 +391,7 @@ nb::tuple innovation_(nb::tuple body_, nb::tuple points_, nb::handle rows, nb::h
     return nb::make_tuple(to_numpy(H), to_numpy(HP), to_numpy(z), to_numpy(S));
 }
 
-nb::tuple nearest_pairs_(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,
-                         nb::tuple activity_) {
+nb::tuple nearest_pairs(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body);
     const Activity activity = read_activity(activity_);
@@ -387,9 +400,10 @@ nb::tuple nearest_pairs_(nb::tuple body_, nb::tuple points_, nb::tuple camera, n
     Pairs r;
     {
         nb::gil_scoped_release release;
-        r = nearest_pairs(body, points, viewer, pending, activity);
+        r = expected_pairs(body, points, viewer, pending, activity);
+        r = likeliest_pairs(std::move(r), body, points, viewer, pending, activity);
     }
-    return nb::make_tuple(to_numpy(r.rows), to_numpy(r.columns), r.complete(), r.noise_scale);
+    return pairs_to_numpy(r);
 }
 
 }  // namespace
@@ -399,7 +413,7 @@ void bind_so3_match(nb::module_& m) {
     m.def("distances", &distances_, arg("body"), arg("points"), arg("which"), arg("added"), arg("allowance"),
           arg("gate"));
     m.def("innovation", &innovation_, arg("body"), arg("points"), arg("rows"), arg("columns"), arg("added"));
-    m.def("nearest_pairs", &nearest_pairs_, arg("body"), arg("points"), arg("camera"), arg("pending"), arg("activity"));
+    m.def("nearest_pairs", &nearest_pairs, arg("body"), arg("points"), arg("camera"), arg("pending"), arg("activity"));
 }
 
 }  // namespace spheremouse::ball

@@ -4,8 +4,11 @@
 // Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005, section 4.2, the binary
 // Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed again and again while
 // the ball rests counts once: repeated views of a still scene are not independent.
+#include <numeric>
+
 #include "spheremouse/ball/ball_view.h"
 #include "spheremouse/ball/filters/so3.h"
+#include "spheremouse/geometry/matching.h"
 
 namespace spheremouse::ball {
 namespace {
@@ -13,12 +16,21 @@ namespace {
 constexpr double PLACED = 0.1;        // rad, standard deviation: a third of the way between neighbours of fifty discs
 constexpr double HIDDEN_SHARE = 0.2;  // of the discs that face the camera: struts and hands before them
 constexpr double DETECTED = 0.95;     // probability that a disc is detected that nothing hides
-constexpr double LIMB =
-    0.1;  // cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
+// cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
+constexpr double LIMB = 0.1;
 constexpr double LIMB_BLUR = 0.03;       // cosine over which that changes
 constexpr int64_t ESTABLISHED_HITS = 3;  // frames in which a disc is seen until it is established
 constexpr double MAX_TRIAL_MISSES = 3.0;
 constexpr double MAX_MISSES_PER_HIT = 5.0;
+
+/// What frames have shown of each disc.
+struct Sightings {
+    std::vector<int64_t> hits, missed;  // frames; those in a row
+    Each hidden;                        // probability that something hides it
+    std::vector<bool> keep;             // it stays on the map
+    int known_seen = 0;                 // established discs
+    double known_missed = 0.0;          // the same, expected number
+};
 
 /// Return the probabilities that discs are detected, over all attitudes that are possible.
 ///
@@ -82,17 +94,6 @@ NewArray<double> detection_probability_(nb::handle attitude_, nb::handle discs_,
     return to_numpy(detection_probability(attitude, discs, read_hidden(hidden_, discs.rows()), read_viewer(viewer_)));
 }
 
-nb::tuple count_sightings(nb::handle attitude, nb::handle discs_, nb::tuple sightings_, nb::tuple viewer,
-                          nb::handle columns_, bool may_miss) {
-    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
-    Sightings sightings = read_sightings(sightings_, discs.rows());
-    const Indices columns = read_indices(columns_, "columns", int(discs.rows()));
-    count(sightings, matrix<3, 3>(attitude, "attitude"), discs, read_viewer(viewer), columns, may_miss);
-    return sightings_to_numpy(sightings);
-}
-
-}  // namespace
-
 Sightings read_sightings(nb::tuple sightings, nb::ssize_t m) {
     members(sightings, 3, "sightings");
     const auto hits = of_discs<int64_t>(sightings[0], "hits", m), missed = of_discs<int64_t>(sightings[1], "missed", m);
@@ -102,13 +103,10 @@ Sightings read_sightings(nb::tuple sightings, nb::ssize_t m) {
     return {{hits.data(), hits.data() + m}, {missed.data(), missed.data() + m}, read_hidden(sightings[2], m), {}};
 }
 
-nb::tuple sightings_to_numpy(const Sightings& r) {
-    const auto keep = zeros<bool>({r.keep.size()});
-    std::copy(r.keep.begin(), r.keep.end(), static_cast<bool*>(keep.data()));
-    return nb::make_tuple(nb::make_tuple(to_numpy(r.hits), to_numpy(r.missed), to_numpy(r.hidden)), keep, r.known_seen,
-                          r.known_missed);
-}
-
+/// Count a frame that shows the discs `columns` in their places.
+///
+/// If it `may_miss` others, a disc is missed only where it should be. So frames in which the attitude is known too
+/// badly count no miss.
 void count(Sightings& r, const Matrix<3>& attitude, const Discs& discs, const Viewer& viewer, const Indices& columns,
            bool may_miss) {
     const Each cosine = discs * (attitude.transpose() * viewer.towards);
@@ -135,6 +133,35 @@ void count(Sightings& r, const Matrix<3>& attitude, const Discs& discs, const Vi
     }
 }
 
+/// Let the discs leave the map that have their centre on another disc, seen more often.
+///
+/// That is a disc taken for a new one at a false attitude. Its place changes to the right one with the attitude.
+void keep_apart(Sightings& r, const Discs& discs, double disc_angle) {
+    Indices order(r.hits.size());
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return r.hits[size_t(a)] > r.hits[size_t(b)]; });
+    const Matrix<Dynamic, 3> sorted = discs(order, Eigen::all);
+    const Each reach = Each::Constant(discs.rows(), 2.0 * std::sin(0.5 * disc_angle));
+    std::vector<bool> apart(order.size());
+    for (int i : suppress(View<>(sorted.data(), sorted.rows(), 3), reach)) apart[size_t(order[size_t(i)])] = true;
+    for (size_t k = 0; k < apart.size(); k++) r.keep[k] = r.keep[k] && apart[k];
+}
+
+nb::tuple count_sightings(nb::handle attitude, nb::handle discs_, nb::tuple sightings_, nb::tuple viewer,
+                          nb::handle columns_, bool may_miss, double disc_angle) {
+    const auto discs = matrix<Dynamic, 3>(discs_, "discs");
+    Sightings r = read_sightings(sightings_, discs.rows());
+    const Indices columns = read_indices(columns_, "columns", int(discs.rows()));
+    count(r, matrix<3, 3>(attitude, "attitude"), discs, read_viewer(viewer), columns, may_miss);
+    keep_apart(r, discs, disc_angle);
+    const auto keep = zeros<bool>({r.keep.size()});
+    std::copy(r.keep.begin(), r.keep.end(), static_cast<bool*>(keep.data()));
+    return nb::make_tuple(nb::make_tuple(to_numpy(r.hits), to_numpy(r.missed), to_numpy(r.hidden)), keep, r.known_seen,
+                          r.known_missed);
+}
+
+}  // namespace
+
 void bind_so3_sightings(nb::module_& m) {
     m.attr("PLACED") = PLACED;
     m.attr("HIDDEN_SHARE") = HIDDEN_SHARE;
@@ -144,7 +171,7 @@ void bind_so3_sightings(nb::module_& m) {
     m.def("detection_probability", &detection_probability_, arg("attitude"), arg("discs"), arg("hidden"),
           arg("viewer"));
     m.def("count_sightings", &count_sightings, arg("attitude"), arg("discs"), arg("sightings"), arg("viewer"),
-          arg("columns"), arg("may_miss"));
+          arg("columns"), arg("may_miss"), arg("disc_angle"));
 }
 
 }  // namespace spheremouse::ball

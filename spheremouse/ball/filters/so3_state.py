@@ -21,6 +21,7 @@ from spheremouse.ball.filters.so3_motion import (
 )
 from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.native import kernels
 
@@ -329,7 +330,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
 
 def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
     """Forget the candidates without one of the `numbers`, (k,)."""
-    keep = np.isin(state.candidates, numbers)
+    keep = are_among(state.candidates, numbers)
     if keep.all():
         return state
     m = len(state.discs)

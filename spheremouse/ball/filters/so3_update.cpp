@@ -4,7 +4,6 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double LINEAR = 0.02;         // rad: a correction larger than that is made again about where it led
 constexpr int PAIRS_WITHOUT_MODES = 2;  // four equations for a rotation: a step and a half-hidden disc look alike
 
 /// Return true if the rate is five standard deviations from zero. Noise must not determine a readout.
@@ -35,8 +34,6 @@ WIDE void subtract_product(const double* A, const double* B, int m, int n, int p
 void subtract_product(const Dense& A, const Dense& B, Dense& C, bool lower = false) {
     subtract_product(A.data(), B.data(), int(A.rows()), int(A.cols()), int(B.cols()), lower, C.data());
 }
-
-}  // namespace
 
 /// Correct the errors by the innovations, with a step of the acceleration of unknown instant and level.
 ///
@@ -132,7 +129,48 @@ Corrected correct(const Body& body, const Innovation& seen, const Pending& pendi
     return r;
 }
 
-bool is_large(const Each& dx) { return dx.head<3>().cwiseAbs().maxCoeff() > LINEAR; }
+/// What a correction uses besides the prior of the errors.
+struct Evidence {
+    const Body& predicted;
+    const Points& points;
+    const Pairs& pairs;
+    const Pending& pending;
+    const Activity& activity;
+};
+
+/// Correct a state by innovations that are linear about `about`, where the prior of the errors has a mean.
+///
+/// A large correction is made again about the state that it leads to: the iterated Kalman filter (Bell and Cathey
+/// 1993). The log likelihood is then Laplace's approximation.
+std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about, const Each& mean,
+                                          const Innovation& seen, int round = 0) {
+    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
+                     about.discs,    about.basis,       about.P,
+                     about.readout,  about.rig,         about.known,
+                     about.holds,    about.others};
+    Corrected r = correct(prior, seen, by.pending, by.activity);
+    r.dx += mean;
+    if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
+        Moved moved = move(about, r.dx, std::move(r.P));
+        return {std::move(r), std::move(moved)};
+    }
+    r.dx(about.readout_row()) = 0.0;
+    r.dx.segment<RIG_DIM>(RIG).setZero();  // the innovation is linear in readout and rig
+    Each there = mean - r.dx;
+    const Moved at = move(about, r.dx, about.P, &there);
+    Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
+    again.z -= again.H * there.head<CORE>();
+    for (size_t i = 0; i < by.pairs.columns.size(); i++)
+        again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(about.map_row() + 2 * by.pairs.columns[i]);
+    return correct_about(by, at.body(), there, again, round + 1);
+}
+
+}  // namespace
+
+std::pair<Corrected, Moved> correct_by_pairs(const Body& body, const Points& points, const Pairs& pairs,
+                                             const Pending& pending, const Activity& activity) {
+    return correct_about({body, points, pairs, pending, activity}, body, Each::Zero(body.P.rows()), pairs.innovation);
+}
 
 Activity read_activity(nb::tuple activity) {
     members(activity, 6, "activity");
@@ -174,47 +212,11 @@ nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
 
 namespace {
 
-/// What a correction uses besides the prior of the errors.
-struct Evidence {
-    const Body& predicted;
-    const Points& points;
-    const Pairs& pairs;
-    const Pending& pending;
-    const Activity& activity;
-};
-
-/// Correct a state by innovations that are linear about `about`, where the prior of the errors has a mean.
-///
-/// A large correction is made again about the state that it leads to: the iterated Kalman filter (Bell and Cathey
-/// 1993). The log likelihood is then Laplace's approximation.
-std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about, const Each& mean,
-                                          const Innovation& seen, int round = 0) {
-    const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
-                     about.discs,    about.basis,       about.P,
-                     about.readout,  about.rig,         about.known,
-                     about.holds,    about.others};
-    Corrected r = correct(prior, seen, by.pending, by.activity);
-    r.dx += mean;
-    if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
-        Moved moved = move(about, r.dx, std::move(r.P));
-        return {std::move(r), std::move(moved)};
-    }
-    r.dx(about.readout_row()) = 0.0;
-    r.dx.segment<RIG_DIM>(RIG).setZero();  // the innovation is linear in readout and rig
-    Each there = mean - r.dx;
-    const Moved at = move(about, r.dx, about.P, &there);
-    Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
-    again.z -= again.H * there.head<CORE>();
-    for (size_t i = 0; i < by.pairs.columns.size(); i++)
-        again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(about.map_row() + 2 * by.pairs.columns[i]);
-    return correct_about(by, at.body(), there, again, round + 1);
-}
-
 nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tuple pending_, nb::tuple activity_) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body);
     members(pairs_, 3, "pairs");
-    const Pairs pairs = read_pairs(pairs_[0], pairs_[1], body, points);
+    Pairs pairs = read_pairs(pairs_[0], pairs_[1], body, points);
     const Noise added = matrix<CORE, CORE>(pairs_[2], "added");
     const Activity activity = read_activity(activity_);
     const Pending pending = read_pending(pending_, body, activity);
@@ -222,8 +224,8 @@ nb::tuple correct_(nb::tuple body_, nb::tuple points_, nb::tuple pairs_, nb::tup
     Moved moved;
     {
         nb::gil_scoped_release release;
-        const Evidence by{body, points, pairs, pending, activity};
-        std::tie(r, moved) = correct_about(by, body, Each::Zero(body.P.rows()), innovation(body, points, pairs, added));
+        pairs.innovation = innovation(body, points, pairs, added);
+        std::tie(r, moved) = correct_by_pairs(body, points, pairs, pending, activity);
     }
     return nb::make_tuple(corrected_to_numpy(moved, r), r.log_likelihood);
 }

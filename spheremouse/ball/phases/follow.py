@@ -18,6 +18,7 @@ from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State, keep_candidates
 from spheremouse.ball.state import F, Tracker, TrackState, clear_matches, no_points
+from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Status
 
@@ -267,7 +268,7 @@ def _is_clear(state: TrackState) -> NDArray[np.bool_]:
     reveal nor reduce such an error. If it may be larger than the path that proves a candidate allows, it proves none.
     """
     covariance = state.detections.covariance[state.points.index]
-    return np.trace(covariance, axis1=1, axis2=2) < 2.0 * _CLEAR_PX**2
+    return covariance[:, 0, 0] + covariance[:, 1, 1] < 2.0 * _CLEAR_PX**2
 
 
 def _with_candidates(
@@ -275,7 +276,7 @@ def _with_candidates(
 ) -> TrackState[So3State]:
     """Return the state with a frame's candidates: those that turn with the ball are discs."""
     filtered, lookalikes = tracker.filter.follow_candidates(state.filter, state.points, seen), state.lookalikes
-    refused = np.intersect1d(seen.numbers[seen.turning], filtered.candidates)  # they turned elsewhere
+    refused = seen.numbers[seen.turning & are_among(seen.numbers, filtered.candidates)]  # they turned elsewhere
     if len(filtered.discs) > len(state.filter.discs):
         lookalikes = static.without_landmarks(lookalikes, filtered.discs, tracker.filter.disc_angle)
     lookalikes = static.without_candidates(lookalikes, refused)

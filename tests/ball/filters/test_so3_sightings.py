@@ -21,7 +21,7 @@ def probabilities(hidden):
 
 def update_hidden(hidden, seen):
     counts = np.zeros(len(hidden), dtype=np.intp), np.zeros(len(hidden), dtype=np.intp), hidden
-    return count_sightings(np.eye(3), FACING, counts, VIEWER, seen, True)[0][2]
+    return count_sightings(np.eye(3), FACING, counts, VIEWER, seen, True, DISC_ANGLE)[0][2]
 
 
 def detected(hidden):
@@ -130,7 +130,7 @@ def test_sightings_are_counted_disc_by_disc(may_miss):
     np.testing.assert_allclose(detection_probability(attitude, discs, hidden, VIEWER), p, rtol=1e-12)
     counts = hits, missed, hidden
     after, keep, known_seen, known_missed = count_sightings(
-        attitude, discs, counts, VIEWER, np.flatnonzero(seen), may_miss
+        attitude, discs, counts, VIEWER, np.flatnonzero(seen), may_miss, 0.0
     )
     new_hits, new_missed = hits + seen, np.where(seen, 0, missed + misses)
     np.testing.assert_array_equal(after[:2], [new_hits, new_missed])
@@ -146,8 +146,19 @@ def test_sightings_are_counted_disc_by_disc(may_miss):
 def test_a_doubtful_attitude_counts_no_miss(sigma):
     attitude, discs, (hits, missed, hidden) = drawn()
     viewer = TOWARDS, HORIZON, np.diag([0.01, sigma, 0.02]) ** 2
-    (_, after, _), *_ = count_sightings(attitude, discs, (hits, missed, hidden), viewer, NONE, True)
+    (_, after, _), *_ = count_sightings(attitude, discs, (hits, missed, hidden), viewer, NONE, True, DISC_ANGLE)
     assert np.any(after > missed) == (sigma < PLACED)
+
+
+def test_a_disc_on_another_one_leaves_the_map_unless_it_was_seen_more_often():
+    attitude, discs, (hits, _, hidden) = drawn()
+    discs[7] = exp(np.array([0.0, 0.9 * DISC_ANGLE, 0.0])) @ discs[3]
+    counts = hits, np.zeros(len(hits), dtype=np.intp), hidden
+    _, keep, *_ = count_sightings(attitude, discs, counts, VIEWER, NONE, False, DISC_ANGLE)
+    order = np.argsort(-hits, kind="stable")
+    kept = [k for n, k in enumerate(order) if not np.any(discs[order[:n]] @ discs[k] > np.cos(DISC_ANGLE))]
+    assert len(kept) < len(discs)
+    np.testing.assert_array_equal(np.flatnonzero(keep), np.sort(kept))
 
 
 def test_a_wrong_argument_is_named():
@@ -155,6 +166,6 @@ def test_a_wrong_argument_is_named():
     for at, name in enumerate(["hits", "missed", "hidden"]):
         wrong = (*counts[:at], counts[at][1:], *counts[at + 1 :])
         with pytest.raises(TypeError, match=name):
-            count_sightings(attitude, discs, wrong, VIEWER, NONE, True)
+            count_sightings(attitude, discs, wrong, VIEWER, NONE, True, DISC_ANGLE)
     with pytest.raises(IndexError, match="columns"):
-        count_sightings(attitude, discs, counts, VIEWER, np.array([60]), True)
+        count_sightings(attitude, discs, counts, VIEWER, np.array([60]), True, DISC_ANGLE)

@@ -1,4 +1,4 @@
-"""The update by an ordinary frame in one call, against its parts one after another."""
+"""The update by a frame in one call, against its parts one after another."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ CAMERA = TOWARDS, HORIZON
 SQUARES = VARIANCES / VARIANCES[0]
 
 
-def one_after_another(body, points, sightings, pending):
-    """Return the result of `update_ordinary` from the parts, and None for frames with doubtful pairs."""
+def certain(body, points, pending):
+    """Return whether the pairs of a frame are certain, from the distances and the innovations."""
     added = (pending[2] @ SQUARES - 1.0) * pending[0]
     one_level = pending[0], pending[1], np.array([0.0, 1.0]), None
     activity = *ACTIVITY[:3], np.array([1.0, pending[2] @ SQUARES]), np.zeros(2), np.full(2, 0.5)
@@ -35,14 +35,8 @@ def one_after_another(body, points, sightings, pending):
     H, _, _, S = kernels.innovation(body, points, rows, columns, added)
     inverse = np.linalg.inv(S + H @ added @ H.T)
     widest = max(np.linalg.det(inverse[i : i + 2, i : i + 2]) ** -0.5 for i in range(0, len(S), 2))
-    if len(points[0]) * GATE * widest > 2e-3 * (1.0 - HORIZON):
-        return None
-    corrected, _ = kernels.correct(body, points, (rows, columns, added), pending, ACTIVITY)
-    (attitude, _, _, discs, _), joint, *_ = corrected
-    if np.abs(log(attitude @ body[0].T)).max() > 0.02:
-        return None
-    viewer = *CAMERA, joint[:3, :3].copy()
-    return corrected, rows, kernels.count_sightings(attitude, discs, sightings, viewer, columns, True)
+    by_chance = len(points[0]) * GATE * widest > 2e-3 * (1.0 - HORIZON)
+    return None if by_chance else (rows, columns, noise_scale)
 
 
 def flat(value):
@@ -52,26 +46,35 @@ def flat(value):
 @pytest.mark.parametrize("foreign", [0, 3])
 @pytest.mark.parametrize("sigma", [1e-4, 3e-4, 1e-3])
 def test_the_update_is_that_of_its_parts(sigma, foreign):
-    rng, ordinary = np.random.default_rng(0), 0
+    ordinary = 0
     for seed in range(20):
         body, points = drawn(seed, sigma, foreign=foreign)
-        sightings = rng.integers(0, 6, 12), rng.integers(0, 3, 12), rng.uniform(size=12)
         pending = 1e-3 * process(sigma), 1.0 / 30.0, WEIGHTS, None
-        got = kernels.update_ordinary(body, points, CAMERA, sightings, pending, ACTIVITY)
-        expected = one_after_another(body, points, sightings, pending)
-        assert (got is None) == (expected is None)
-        if got is not None:
+        corrected, pairs, is_certain = kernels.update_by_frame(body, points, CAMERA, pending, ACTIVITY)
+        expected = certain(body, points, pending)
+        small = np.linalg.norm(log(corrected[0][0] @ body[0].T)) < 0.02
+        assert is_certain == (expected is not None and small)
+        rows, columns, complete, noise_scale = kernels.nearest_pairs(body, points, CAMERA, pending, ACTIVITY)
+        if expected is None:
+            assert_array_equal(pairs[:2], (rows, columns))
+            assert pairs[2:] == (complete, noise_scale)
+        else:
             ordinary += 1
-            for a, b in zip(flat(got), flat(expected), strict=True):
-                assert_array_equal(a, b)
+            rows, columns, noise_scale = expected
+            assert_array_equal(pairs[:2], (rows, columns))
+        added = (noise_scale - 1.0) * pending[0]
+        alone, _ = kernels.correct(body, points, (rows, columns, added), pending, ACTIVITY)
+        for a, b in zip(flat(corrected), flat(alone), strict=True):
+            assert_array_equal(a, b)
     assert ordinary > 0
 
 
-def test_a_frame_without_points_is_not_ordinary():
+def test_a_frame_without_points_is_not_certain():
     body, points = drawn(1)
     none = tuple(a[:0] for a in points[:5])
-    sightings = np.zeros(12, dtype=int), np.zeros(12, dtype=int), np.zeros(12)
     pending = process(1e-3), 1.0 / 30.0, WEIGHTS, None
-    assert kernels.update_ordinary(body, (*none, 0.6, np.zeros(4)), CAMERA, sightings, pending, ACTIVITY) is None
-    with pytest.raises(TypeError, match="hidden"):
-        kernels.update_ordinary(body, points, CAMERA, (*sightings[:2], np.zeros(11)), pending, ACTIVITY)
+    _, pairs, is_certain = kernels.update_by_frame(body, (*none, 0.6, np.zeros(4)), CAMERA, pending, ACTIVITY)
+    assert len(pairs[0]) == 0
+    assert not is_certain
+    with pytest.raises(TypeError, match="process"):
+        kernels.update_by_frame(body, points, CAMERA, (np.zeros((3, 3)), *pending[1:]), ACTIVITY)

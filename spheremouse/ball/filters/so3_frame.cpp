@@ -1,0 +1,67 @@
+// The pairs of a frame and the state that they correct, in one call.
+#include "spheremouse/ball/filters/so3.h"
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double RARE = 1e-3;  // probability per frame below which chance does not explain the pairs
+
+/// Return whether an unpaired point and an unpaired disc form a pair at the highest level.
+///
+/// If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
+bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
+                       const Noise& added, double gate) {
+    Indices others;
+    for (int k : visible(body, viewer))
+        if (std::find(pairs.columns.begin(), pairs.columns.end(), k) == pairs.columns.end()) others.push_back(k);
+    Dense distance = distances(body, points, others, added, 0.0, gate);
+    for (int i : pairs.rows) distance.row(i).setConstant(gate);
+    return (distance.array() < gate).any();
+}
+
+/// Return whether one of the points falls by chance into the gate of a disc, given the other pairs.
+bool pairs_by_chance(const Pairs& pairs, const Points& points, const Viewer& viewer, double gate) {
+    return points.size() * gate * pairs.widest > 2.0 * RARE * (1.0 - viewer.horizon);
+}
+
+/// Return whether pairs show half of the discs or more in their places, without another possible pair.
+bool are_certain(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
+                 const Pending& pending, const Activity& activity) {
+    const int k = int(pairs.rows.size());
+    if (!(pairs.plain && pairs.in_place && k >= 2 && 2 * k >= pairs.possible)) return false;
+    if (pairs_by_chance(pairs, points, viewer, activity.gate)) return false;
+    const double most = activity.squares().maxCoeff();
+    return k == pairs.possible || !pairs_if_livelier(body, points, viewer, pairs, pending.added(most), activity.gate);
+}
+
+nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,
+                          nb::tuple activity_) {
+    const Body body = read_body(body_);
+    const Points points = read_points(points_, body);
+    const Viewer viewer = read_camera(camera);
+    const Activity activity = read_activity(activity_);
+    const Pending pending = read_pending(pending_, body, activity);
+    Pairs pairs;
+    bool certain = false;
+    Corrected r;
+    Moved moved;
+    {
+        nb::gil_scoped_release release;
+        pairs = expected_pairs(body, points, viewer, pending, activity);
+        certain = are_certain(body, points, viewer, pairs, pending, activity);
+        if (!certain) pairs = likeliest_pairs(std::move(pairs), body, points, viewer, pending, activity);
+        std::tie(r, moved) = correct_by_pairs(body, points, pairs, pending, activity);
+        certain = certain && log(Matrix<3>(moved.attitude * body.attitude.transpose())).norm() < LINEAR;
+    }
+    return nb::make_tuple(corrected_to_numpy(moved, r), pairs_to_numpy(pairs), certain);
+}
+
+}  // namespace
+
+void bind_so3_frame(nb::module_& m) {
+    m.attr("RARE") = RARE;
+    m.def("update_by_frame", &update_by_frame, arg("body"), arg("points"), arg("camera"), arg("pending"),
+          arg("activity"));
+}
+
+}  // namespace spheremouse::ball
