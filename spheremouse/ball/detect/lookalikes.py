@@ -104,6 +104,8 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
 
 def without_candidates(state: StaticDistractors, numbers: NDArray[np.intp]) -> StaticDistractors:
     """Forget the candidates with these `numbers`, (k,)."""
+    if len(numbers) == 0:
+        return state
     return replace(state, candidates=state.candidates.take(~are_among(state.candidates.number, numbers)))
 
 
@@ -156,14 +158,18 @@ def classify_candidates(
     place[which], seen[which], known_proven[which] = centre[known], stamp, proven[known]
     keep = stamp - seen < _FORGET_AFTER_S
     keep[which[stands]] = False
-    followed = candidates._replace(place=place, seen=seen, proven=known_proven).take(keep)
-    at, count = centre[~known], np.count_nonzero(~known)
+    followed = candidates._replace(place=place, seen=seen, proven=known_proven)
+    if not keep.all():
+        followed = followed.take(keep)
+    at, count = centre[~known], len(centre) - len(which)
     number = np.zeros(len(centre), dtype=np.intp)
     number[known], number[~known] = candidates.number[which], state.next_number + np.arange(count)
-    anchors, unproven = direction[~known] @ attitude, np.zeros(count, dtype=bool)
-    new = Candidates(at, at, anchors, np.full(count, stamp), unproven, number[~known])
-    state = replace(state, candidates=followed.joined(new), next_number=state.next_number + count)
-    return proven, still, number, mask(state, centre[still], stamp)
+    if count > 0:
+        anchors, unproven = direction[~known] @ attitude, np.zeros(count, dtype=bool)
+        new = Candidates(at, at, anchors, np.full(count, stamp), unproven, number[~known])
+        followed = followed.joined(new)
+    state = replace(state, candidates=followed, next_number=state.next_number + count)
+    return proven, still, number, mask(state, centre[still], stamp) if still.any() else state
 
 
 def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

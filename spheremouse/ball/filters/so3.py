@@ -275,25 +275,25 @@ class So3Filter:
     ) -> So3State | None:
         """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
-        `may_start_landmark` is a mask (n,) of the points that may become discs.
-
-        The pairs of an ordinary frame are certain, as `kernels.update_by_frame` states it. In another frame at least
-        two discs must pair, and one of three conditions must hold:
-        - the places of these discs are known well and at least half of the points pair,
-        - chance does not explain so many pairs, three or more,
-        - two pairs fix the attitude, and chance does not explain the other pairs.
+        `may_start_landmark` is a mask (n,) of the points that may become discs. The pairs of an ordinary frame are
+        certain, as `kernels.update_by_frame` states it.
         """
         corrected, pairing, certain = self._corrected_by_frame(state, points)
-        if certain:
+        if certain or self._are_certain(state, corrected, pairing, len(points)):
             return self.keep_map(corrected, points, pairing, may_start_landmark)
+        return None
+
+    def _are_certain(self, predicted: So3State, corrected: So3State, pairing: Pairing, points: int) -> bool:
+        """Return whether two pairs or more are certain, since one of three conditions holds.
+
+        - The places of these discs are known well, and at least half of the points pair.
+        - Chance does not explain so many pairs, three or more.
+        - Two pairs fix the attitude, and chance does not explain the other pairs.
+        """
         pairs = len(pairing.rows)
-        if pairs < 2:
-            return None
-        most = 2 * pairs >= len(points) and self._each_is_significant(state, pairing.columns, len(points))
-        more = pairs > 2 and (
-            self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
-        )
-        return self.keep_map(corrected, points, pairing, may_start_landmark) if most or more else None
+        if pairs >= 2 and 2 * pairs >= points and self._each_is_significant(predicted, pairing.columns, points):
+            return True
+        return pairs > 2 and (self.is_significant(predicted, pairs, points) or self._others_agree(corrected, points))
 
     def _corrected_by_frame(self, state: So3State, points: SpherePoints) -> tuple[So3State, Pairing, bool]:
         """Return the state corrected by the nearest pairs of a frame, the pairs, and whether they are certain.
