@@ -65,7 +65,7 @@ class TrueAssociation:
         new = [(row, name) for row, name in zip(rows, names, strict=True) if name not in self.names]
         if self.names or len(points) >= 2:
             corrected = augment(
-                corrected, points, np.array([row for row, _ in new], dtype=np.intp), tracker.filter.radius
+                corrected, points, np.array([row for row, _ in new], dtype=np.intp), tracker.filter.station.radius
             )
             self.names += [name for _, name in new]
         return state._replace(filter=corrected, confirmed=True, confirmed_at=stamp, phase=Tracking()), ()

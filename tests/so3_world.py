@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
+from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import PERSISTENCE_S, So3Settings
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp
@@ -18,10 +19,15 @@ HORIZON = 0.25
 DT = 1.0 / 30.0
 SIGMA = 3e-4  # rad, of a direction per axis: 0.07 px of the far camera
 SETTINGS = So3Settings()
-FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
+FILTER = So3Filter(SETTINGS, Station(np.array([0.0, 0.0, 1.0]), HORIZON, RADIUS), 0.02 / RADIUS)
 OWN = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))  # assumes what `own_motion` does
 DISCS = directions(26, 4, 0.3)
 LAST = slice(-CLONE_DIM - 2, -CLONE_DIM)  # of the newest disc in the joint covariance
+
+
+def with_errors(filter_, **errors):
+    """The filter with other fields of its station."""
+    return replace(filter_, station=replace(filter_.station, **errors))
 
 
 def points_at(direction, sigma=SIGMA, rng=None):

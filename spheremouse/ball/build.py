@@ -13,6 +13,7 @@ from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.detector import Detector
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.phases.discs import Discs
 from spheremouse.ball.phases.method import SO3
 from spheremouse.ball.rig import Rig, considered_covariance
@@ -123,11 +124,9 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
     distance = float(np.linalg.norm(towards))
     stage: Filter[Any]
     if settings.tracker == "so3":
-        stage = So3Filter(
-            settings.so3,
+        station = Station(
             towards / distance,
             rig.ball.radius / distance,
-            detector.landmark_angle(rig),
             rig.ball.radius,
             considered_covariance(pose, rig.ball) + detector.shared_errors(rig, pose),
             rig.readout_sigma_s,
@@ -135,6 +134,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             pose.by_focal,
             pose.depth(rig.ball.centre),
         )
+        stage = So3Filter(settings.so3, station, detector.landmark_angle(rig))
     else:
         from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter
         from spheremouse.ball.published.method import PUBLISHED

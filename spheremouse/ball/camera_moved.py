@@ -87,7 +87,7 @@ def apparent_turn(shift: Array, tracker: Tracker) -> Array:
 
     `shift` (n, 2) px is that of the targets; nan if hidden. The turn is at most one without a suspected bump.
     """
-    towards, radius = tracker.filter.towards_camera, 0.5
+    towards, radius = tracker.filter.station.towards, 0.5
     across = radius * tangent_basis(towards[None])[0].T
     directions = towards + np.concatenate([across, -across])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

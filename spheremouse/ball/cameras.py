@@ -70,10 +70,10 @@ def check_cameras(rigs: Sequence[Rig], settings: Settings) -> None:
 def _shared(one: Tracker[So3Filter], other: Tracker[So3Filter]) -> Array:
     """Return the covariance, (7, 7), of the errors of one camera with those of another, before any frame."""
     if one is other:
-        return one.filter.camera_covariance()
+        return one.filter.station.covariance()
     same = one.rig.ball.radius == other.rig.ball.radius
     same = same and np.array_equal(one.rig.ball.covariance, other.rig.ball.covariance)  # the ball of one calibration
-    return one.filter.shared_covariance(other.filter) if same else np.zeros((CAMERA_DIM, CAMERA_DIM))
+    return one.filter.station.shared_covariance(other.filter.station) if same else np.zeros((CAMERA_DIM, CAMERA_DIM))
 
 
 def cameras_of(state: TrackState[Any]) -> tuple[int, ...]:

@@ -63,7 +63,9 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
         exact = replace(state, joint=np.zeros_like(state.joint))
-        H, _, z, S = kernels.innovation(exact.body, points.measurement(filter_.radius), rows, columns, np.zeros_like(J))
+        H, _, z, S = kernels.innovation(
+            exact.body, points.measurement(filter_.station.radius), rows, columns, np.zeros_like(J)
+        )
         S[np.diag_indices(len(S))] += np.repeat(state.map_sigma()[columns] ** 2, 2)
         weighted = np.linalg.solve(S, H).T
         J, score = weighted @ H, weighted @ z

@@ -97,7 +97,7 @@ def test_a_shift_of_the_image_appears_as_a_turn_of_the_ball_if_it_is_small(name,
     tracker = build(film.rig, film.before, Settings())
     shift = np.array([0.3, -0.2])
     turn = apparent_turn(np.vstack([np.tile(shift, (3, 1)), [np.nan, np.nan]]), tracker)
-    middle = tracker.filter.towards_camera
+    middle = tracker.filter.station.towards
     before, after = seen_at(np.stack([middle, exp(turn) @ middle]), film.rig, film.before)
     assert_allclose(after - before, shift, rtol=0.3)
     assert np.linalg.norm(apparent_turn(np.tile(100.0 * shift, (3, 1)), tracker)) < 0.03

@@ -53,7 +53,7 @@ def tracked(cameras, until=6.0, hidden=lambda camera, t: False, rng=None, extra=
         camera, t = cameras[k % len(cameras)], k * DT / len(cameras)
         tracker, R = TRACKERS[camera], attitude(t)
         place = DISCS @ R.T
-        place = place[place @ tracker.filter.towards_camera > 0.4]
+        place = place[place @ tracker.filter.station.towards > 0.4]
         covered = hidden(camera, t)
         if covered is None:
             continue

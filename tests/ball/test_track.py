@@ -341,7 +341,7 @@ def test_what_pose_and_ball_are_wrong_in_together_reaches_the_filter():
     whole = A @ A.T
     rig = replace(RIG, ball=replace(RIG.ball, covariance=whole[6:, 6:]))
     tracker = build(rig, replace(POSE, covariance=whole[:6, :6], ball_covariance=whole[:6, 6:]), SO3)
-    A = tracker.filter.common_by_pose_and_ball()
+    A = tracker.filter.station.common_by_pose_and_ball()
     assert_allclose(begin(tracker, 0.0).filter.joint[COMMON, COMMON], A @ whole @ A.T, atol=1e-11)
 
 

@@ -9,19 +9,18 @@ that moves, and lengths that a tape measured, are estimated.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.filters.so3_motion import (
-    CAMERA_DIM,
     CLONE_DIM,
     KINEMATIC_DIM,
     MAP_OFFSET,
-    RIG_DIM,
 )
+from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import (
     So3Settings,
     activity_of,
@@ -44,7 +43,7 @@ from spheremouse.ball.filters.so3_state import (
 )
 from spheremouse.ball.points import Measurement, SpherePoints
 from spheremouse.geometry.matching import are_among, assign, suppress
-from spheremouse.geometry.rotation import Array, hat
+from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
 
@@ -56,9 +55,7 @@ _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 20
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
 _KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
-_EXACT_RIG = 1e-6, 1e-5  # the same of an exact rig: it costs nothing, and yet the filter learns what depends on the rig
 _STILL_S = 1.0  # s of views of a still scene that count as one view
-_TAPE_ERROR = 0.01  # of a length that is measured by tape
 _NO_NOISE = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
 
@@ -81,69 +78,19 @@ class Pairing(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class So3Filter:
-    """Settings, and the camera's place, which determines the visible discs."""
+    """Settings, the camera's station, and the size of a disc."""
 
     settings: So3Settings
-    towards_camera: Array  # (3,) unit vector from the ball's centre, obj
-    horizon: float  # least cosine with it of a disc that can be seen
+    station: Station
     disc_angle: float  # rad, angular radius of a disc
-    radius: float  # m, of the ball
-    considered: Array = field(default_factory=lambda: np.zeros((10, 10)))  # m, rad: errors of pose, centre, radius
-    readout_sigma: float = 0.0  # s, of the rolling shutter's time
-    focal_sigma: float = 0.0  # relative, of the focal length
-    pose_by_focal: Array = field(default_factory=lambda: np.zeros(6))  # m, rad: as `Pose.by_focal` has it
-    depth: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball along the optical axis
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """Return the state at rest at `attitude`, (3, 3), the reference without error; the map is empty."""
         joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
-        joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = self.camera_covariance()
+        joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = self.station.covariance()
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
-
-    def common_by_pose_and_ball(self) -> Array:
-        """Return the matrix, (7, 10), from errors of pose, centre and radius to those of the rig and the axes.
-
-        A picture depends on the camera's axes, and on its place seen from the ball's centre, in radii. So ten errors
-        act like six: a shift of the centre (3, m), and a turn of the axes of obj (3, rad).
-        """
-        towards = self.towards_camera / self.horizon  # radii
-        A = np.zeros((7, 10))
-        A[4:, 3:6] = A[1:4, 6:9] = np.eye(3)
-        A[1:4, :3], A[1:4, 3:6], A[1:4, 9] = -np.eye(3), -self.radius * hat(towards), towards
-        return A
-
-    def common_by_focal(self) -> Array:
-        """Return the effect, (4,), of a relative error of the focal length on the errors of the rig.
-
-        The error of the centre is the part that a picture shows, as `SpherePoints` has it. `ddirection_drig` contains
-        the turn of the axes.
-        """
-        by_pose = self.common_by_pose_and_ball()[:RIG_DIM, :6]
-        return np.concatenate([[1.0], -self.depth]) + by_pose @ self.pose_by_focal
-
-    def camera_covariance(self) -> Array:
-        """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
-        A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
-        covariance[:7, :7], covariance[7, 7] = A @ self.considered @ A.T, self.readout_sigma**2
-        effect = self.focal_sigma * self.common_by_focal()
-        covariance[:RIG_DIM, :RIG_DIM] += np.outer(effect, effect)
-        exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
-        focal, centre = _EXACT_RIG
-        covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2
-        return covariance
-
-    def shared_covariance(self, other: "So3Filter") -> Array:
-        """Return the covariance, (8, 8), of those errors with those of another camera, whose rig has the same ball."""
-        covariance, ball = np.zeros((CAMERA_DIM, CAMERA_DIM)), self.considered[6:, 6:]
-        covariance[:7, :7] = self._common_by_ball() @ ball @ other._common_by_ball().T
-        return covariance
-
-    def _common_by_ball(self) -> Array:
-        """Return the matrix, (7, 4), from errors of centre and radius to the expected ones of rig and axes."""
-        A, C = self.common_by_pose_and_ball(), self.considered
-        return A[:, :6] @ C[:6, 6:] @ np.linalg.pinv(C[6:, 6:], hermitian=True) + A[:, 6:]
 
     def predict(self, state: So3State, stamp: float) -> So3State:
         """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
@@ -157,7 +104,7 @@ class So3Filter:
         if state.centre_noise > 0.0:
             move_centres(joint, min(dt, WANDER_S) * state.centre_noise * np.eye(3), len(state.others))
         focal, *centre = joint.diagonal()[RIG].tolist()
-        known = focal + sum(centre) / self.radius**2 < _KNOWN_RIG**2
+        known = focal + sum(centre) / self.station.radius**2 < _KNOWN_RIG**2
 
         def carried(hidden: Array) -> Array:
             return kernels.carry_hidden(attitude, rate, state.discs, hidden, dt, self.disc_angle)
@@ -188,27 +135,17 @@ class So3Filter:
 
     def let_centre_move(self, state: So3State) -> So3State:
         """Return the state with a ball whose centre has left its place and moves on."""
-        noise, joint = (_CENTRE_NOISE * self.radius) ** 2, state.joint.copy()
+        noise, joint = (_CENTRE_NOISE * self.station.radius) ** 2, state.joint.copy()
         move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
     def with_rig_uncertainty(self, state: So3State) -> So3State:
         """Return the state with a covariance that has the errors of a radius and focal length measured by tape."""
-        return replace(with_rig_uncertainty(state, self._covariance_by_tape()), holds_rig=False)
+        return replace(with_rig_uncertainty(state, self.station.covariance_by_tape()), holds_rig=False)
 
     def is_beyond_a_tape(self, state: So3State) -> bool:
         """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
-        return bool(state.centre @ state.centre > 9.0 * np.trace(self._covariance_by_tape()[1:, 1:]))
-
-    def _covariance_by_tape(self) -> Array:
-        """Return the covariance, (4, 4), of a rig with a radius and a focal length by tape.
-
-        An error of the radius shifts the centre along the line of sight. With a wrong focal length, pictures place the
-        camera so that the ball has its place and size.
-        """
-        radius = self.radius * self.common_by_pose_and_ball()[:RIG_DIM, 9]
-        focal = np.eye(RIG_DIM)[0]
-        return _TAPE_ERROR**2 * (np.outer(radius, radius) + np.outer(focal, focal))
+        return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape()[1:, 1:]))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
@@ -218,7 +155,7 @@ class So3Filter:
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices, (k,), of the discs that face the camera."""
-        return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
+        return np.flatnonzero(state.discs @ (self.station.towards @ state.attitude) > self.station.horizon)
 
     def detection_probability(self, state: So3State) -> Array:
         """Return the probability, (m,), that each disc is detected at a predicted state."""
@@ -226,7 +163,7 @@ class So3Filter:
 
     def _viewer(self, state: So3State) -> tuple[Array, float, Array]:
         """Return the camera as `kernels` takes it, with the covariance of the attitude that it sees."""
-        return self.towards_camera, self.horizon, state.joint[:3, :3].copy()
+        return self.station.towards, self.station.horizon, state.joint[:3, :3].copy()
 
     def gate_radius(self, state: So3State, which: NDArray[np.intp], interval: float) -> Array:
         """Return the radius, (k,) rad, of the gates of the discs `which`, along the worse axis of each."""
@@ -252,7 +189,7 @@ class So3Filter:
     def _expected_by_chance(self, sigma: Array, points: int) -> float:
         """Return how many of the points fall by chance into the gates of discs known to `sigma`, (k,) rad."""
         areas = self.settings.gate * np.pi * (sigma**2 + _POINT_SIGMA**2)
-        return points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))
+        return points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.station.horizon))
 
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
         """Return the standard deviation, (k,) rad, of the predicted places of the discs `which`, on the worse axis."""
@@ -300,7 +237,7 @@ class So3Filter:
 
         If doubtful pairs are not complete, the pairs that lie in their places only after the correction take part, too.
         """
-        camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
+        camera, activity = (self.station.towards, self.station.horizon), activity_of(self.settings)
         given, pairs, certain = kernels.update_by_frame(
             state.body, self._measurement(state, points), camera, state.pending, activity
         )
@@ -316,7 +253,7 @@ class So3Filter:
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
         """Return the pairs of least total distance, at the most likely level at which most points pair."""
-        camera, activity = (self.towards_camera, self.horizon), activity_of(self.settings)
+        camera, activity = (self.station.towards, self.station.horizon), activity_of(self.settings)
         return Pairing(
             *kernels.nearest_pairs(state.body, self._measurement(state, points), camera, state.pending, activity)
         )
@@ -339,8 +276,8 @@ class So3Filter:
         They are exact below `gate`. `widest`: with the process noise of the liveliest level.
         """
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
-        cosine = state.discs @ (self.towards_camera @ state.attitude)
-        which = np.flatnonzero(cosine > self.horizon - np.minimum(slack, 0.5))
+        cosine = state.discs @ (self.station.towards @ state.attitude)
+        which = np.flatnonzero(cosine > self.station.horizon - np.minimum(slack, 0.5))
         added = self._added_noise(state, max(squared_levels(self.settings.levels)) if widest else 1.0)
         allowance = _omitted_variance(state, added)
         return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
@@ -350,12 +287,12 @@ class So3Filter:
 
         Views of a ball at rest have the same omitted terms. So a second of them counts as one view.
         """
-        measurement = points.measurement(self.radius)
+        measurement = points.measurement(self.station.radius)
         if state.holds_rig or state.centre_noise > 0.0:
             return measurement
         J = points.ddirection_drig
         variance = omitted_variance(J @ state.joint[RIG, RIG] @ J.transpose(0, 2, 1))
-        added = self.radius**2 * variance[:, None, None] * np.eye(3)
+        added = self.station.radius**2 * variance[:, None, None] * np.eye(3)
         noise = measurement.noise + added
         if not _turns(state.rate, state.joint[3:6, 3:6]):
             noise = noise * max(_STILL_S / max(state.interval, 1e-3), 1.0)
@@ -418,7 +355,7 @@ class So3Filter:
             rows, which = assign(squared, self.settings.gate)
             state = self._promoted(state, points, new[rows], which)
             new = np.delete(new, rows)
-        return augment(state, points, new, self.radius)
+        return augment(state, points, new, self.station.radius)
 
     def follow_candidates(self, state: So3State, points: SpherePoints, seen: CandidatePoints) -> So3State:
         """Return the state after a frame's candidates. Those that turn with the ball become discs.
@@ -433,9 +370,9 @@ class So3Filter:
             which = np.argmax(state.candidates == seen.numbers[turning & known, None], axis=1)
             in_place = self._candidate_distances(state, points, rows, which).diagonal() < self.settings.gate
             state = self._promoted(state, points, rows[in_place], which[in_place])
-        state = augment(state, points, seen.rows[turning & ~known], self.radius)
+        state = augment(state, points, seen.rows[turning & ~known], self.station.radius)
         new = np.flatnonzero(~seen.turning & ~known)[: max(_MOST_CANDIDATES - len(state.candidates), 0)]
-        return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.radius)
+        return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.station.radius)
 
     def _candidate_distances(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]

@@ -156,7 +156,7 @@ def _pairing(rows: tuple[int, ...], columns: tuple[int, ...]) -> Pairing:
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
     """Return the density, 1/sr, of points that are no disc of the map: unknown discs and false points."""
     known = int(np.count_nonzero(state.hits >= ESTABLISHED_HITS))
-    in_view = 0.5 * (1.0 - filter_.horizon)  # share of the ball
+    in_view = 0.5 * (1.0 - filter_.station.horizon)  # share of the ball
     unknown = max(seen / in_view - known, _UNKNOWN_DISCS)
     return (unknown + _FALSE_POINTS / in_view) / (4.0 * math.pi)
 

@@ -187,8 +187,8 @@ def recognised_attitude(
         points.direction,
         state.filter.discs[placed],
         sigma=IDENTIFY_SIGMA,
-        view_axis=tracker.filter.towards_camera,
-        horizon=tracker.filter.horizon,
+        view_axis=tracker.filter.station.towards,
+        horizon=tracker.filter.station.horizon,
         risk=risk,
         min_sigma=min(max(least, _MIN_SIGMA), IDENTIFY_SIGMA),
     )

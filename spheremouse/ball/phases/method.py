@@ -66,9 +66,9 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     joint = filtered.joint.copy()
     if added is None:
         forget_common(joint)
-        add_common(joint, tracker.filter.camera_covariance()[:-1, :-1])
+        add_common(joint, tracker.filter.station.covariance()[:-1, :-1])
     else:
-        A = tracker.filter.common_by_pose_and_ball()[:, :6]
+        A = tracker.filter.station.common_by_pose_and_ball()[:, :6]
         add_common(joint, A @ added @ A.T)
     return replace(filtered, joint=joint)
 

@@ -268,7 +268,7 @@ def _detections(
     """
     if alignment is None:
         return no_detections(), np.zeros(0, dtype=np.intp)
-    facing = tracker.filter.towards_camera, tracker.filter.horizon
+    facing = tracker.filter.station.towards, tracker.filter.station.horizon
     errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel), view_of(view.rig, view.pose)
     place, covariance, which = kernels.anchor_points(
         view.anchors, alignment.attitude, alignment.information, alignment.gradient, errors, facing, ball

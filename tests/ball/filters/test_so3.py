@@ -30,6 +30,7 @@ from so3_world import (
     settled,
     squared,
     white_jerk,
+    with_errors,
 )
 
 from spheremouse.ball.filters.so3 import Pairing, relocate
@@ -205,7 +206,7 @@ def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
     """Random attitudes in small steps, random subsets of the discs, pose and ball considered; down to float noise."""
     rng = np.random.default_rng(42)
     considered = block_diag(*(np.cov(rng.normal(size=(k, 3 * k))) for k in (6, 4))) * 1e-8
-    own = replace(OWN, considered=considered, readout_sigma=0.015)
+    own = with_errors(OWN, considered=considered, readout_sigma=0.015)
     state = own.initial(0.0, np.eye(3))
     R = np.eye(3)
     worst = 0.0
@@ -274,7 +275,7 @@ def test_a_disc_out_of_view_is_known_again_and_closes_the_loop():
     R, t = rolling(rate, n + 20)
     states = film(FILTER, R, t, np.random.default_rng(10))
     half, end = states[n // 2], states[-1]
-    assert np.any(half.discs[:4] @ half.attitude.T @ FILTER.towards_camera < HORIZON)  # of the first discs
+    assert np.any(half.discs[:4] @ half.attitude.T @ FILTER.station.towards < HORIZON)  # of the first discs
     assert len(end.discs) <= 26  # none is taken for a new one
     assert error_of(end, R[-1]) < 6e-4
     sd = [np.sqrt(np.trace(s.joint[:3, :3])) for s in states]

@@ -25,10 +25,12 @@ from so3_world import (
     settled,
     squared,
     white_jerk,
+    with_errors,
 )
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, augment, inject, with_uncertain_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
@@ -59,7 +61,7 @@ def station(scale):
     rig = Rig(CAMERA, Ball(RADIUS, np.zeros(3), scale**2 * spd([1e-3, 1e-3, 1e-3, 5e-4], 2)), NO_TARGETS, 0.02)
     distance = np.linalg.norm(STATION)
     considered = block_diag(pose.covariance, rig.ball.covariance)
-    filter_ = So3Filter(OWN.settings, STATION / distance, RADIUS / distance, 0.02 / RADIUS, RADIUS, considered)
+    filter_ = So3Filter(OWN.settings, Station(STATION / distance, RADIUS / distance, RADIUS, considered), 0.02 / RADIUS)
     return rig, pose, filter_
 
 
@@ -125,12 +127,12 @@ def test_errors_of_pose_and_ball_are_in_the_covariance():
     """60 drawn poses and balls, constant over a run: chi-square of attitude and rate, 95 % band of the runs' mean."""
     rig, pose, consider = station(0.5)
     rng = np.random.default_rng(21)
-    errors = draw(consider.considered, rng, 60)
+    errors = draw(consider.station.considered, rng, 60)
     squares, used = played(consider, rig, pose, errors, rng)
     low, high = chi2.ppf([0.025, 0.975], 3 * 60) / 60
     assert np.all((low < squares) & (squares < high))
     assert used > 0.8
-    ignorant = replace(consider, considered=np.zeros((10, 10)))
+    ignorant = with_errors(consider, considered=np.zeros((10, 10)))
     squares, _ = played(ignorant, rig, pose, errors[:20], rng)
     assert squares[0] > 20.0 * high  # far outside: measured 150 to 230 where 3 is right
     assert squares[1] > 1.5 * high
@@ -141,8 +143,8 @@ def test_what_pose_and_ball_are_wrong_in_together_is_no_error_of_the_attitude():
     rig, pose, apart = station(0.2)
     grown = 0.01 * np.concatenate([STATION, np.zeros(6), [RADIUS]])
     shift = 0.005 * np.concatenate([np.eye(3), np.zeros((3, 3)), np.eye(3), np.zeros((1, 3))])
-    C = apart.considered + np.outer(grown, grown) + shift @ shift.T
-    together = replace(apart, considered=C)
+    C = apart.station.considered + np.outer(grown, grown) + shift @ shift.T
+    together = with_errors(apart, considered=C)
     rng = np.random.default_rng(25)
     low, high = chi2.ppf([0.025, 0.975], 3 * 40) / 40
     squares, used = played(together, rig, pose, draw(C, rng, 40), rng)
@@ -162,7 +164,7 @@ def test_what_pose_and_ball_are_wrong_in_together_is_no_error_of_the_attitude():
 def test_no_disc_is_turned_away_for_an_error_that_is_considered():
     rig, pose, consider = station(1.0)
     rng = np.random.default_rng(22)
-    assert played(consider, rig, pose, draw(consider.considered, rng, 15), rng)[1] > 0.98
+    assert played(consider, rig, pose, draw(consider.station.considered, rng, 15), rng)[1] > 0.98
 
 
 def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_say():
@@ -175,7 +177,7 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
     state = inject(state, 1e-5 * np.random.default_rng(23).normal(size=len(state.joint)))  # not zero innovations
     rows = np.arange(len(d))
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
-    A = consider.common_by_pose_and_ball()
+    A = consider.station.common_by_pose_and_ball()
     H = innovation(known, points, rows)[1][:, COMMON] @ A
     bare = replace(known, landmarks=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     added = augment(bare, points, rows, RADIUS)
@@ -201,7 +203,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
     quiet = replace(consider.settings, acceleration_sigma=jolt, start_rate_sigma=1e-4)
     consider = replace(consider, settings=quiet)
     rng = np.random.default_rng(24)
-    through = other(rig, pose, draw(consider.considered, rng, 1)[0])
+    through = other(rig, pose, draw(consider.station.considered, rng, 1)[0])
     w = 1e-4 * np.array([0.4, -0.7, 0.5])
     discs = in_view(np.eye(3), 0.2)[:5]
     frames = [detected(image_of(discs @ exp(w * t).T, *through), rng, sigma) for t in (0.0, dt)]
@@ -212,7 +214,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
 
     F, Q = white_jerk(dt, jolt)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
-    Wc = np.linalg.cholesky(np.linalg.inv(consider.considered)).T
+    Wc = np.linalg.cholesky(np.linalg.inv(consider.station.considered)).T
 
     def residuals(x):
         start, now, error = x[:6] * 1e-4, x[6:15] * 1e-4, x[15:25] * scale * 1e-3
@@ -232,9 +234,9 @@ def test_update_with_considered_errors_is_the_batch_solution():
     assert_allclose(ours / sd[6:15], (fit.x * unit)[6:15] / sd[6:15], atol=0.03)
     at = np.concatenate([np.arange(6, 15), np.arange(25, 35)])
     rest = np.concatenate([np.arange(KINEMATIC_DIM), np.arange(MAP_OFFSET, len(state.joint) - CLONE_DIM)])
-    A = consider.common_by_pose_and_ball()
+    A = consider.station.common_by_pose_and_ball()
     A = A[1:]  # without the focal length, which is exact
-    prior, posterior = (A @ P @ A.T for P in (consider.considered, C[15:25, 15:25]))
+    prior, posterior = (A @ P @ A.T for P in (consider.station.considered, C[15:25, 15:25]))
     scale_at = np.outer(sd[at], sd[at])
     assert_allclose(state.joint[np.ix_(rest, rest)] / scale_at, C[np.ix_(at, at)] / scale_at, atol=0.02)
     spread = np.sqrt(np.diag(prior))
@@ -253,7 +255,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
 FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400 deg/s
 SHUTTER = 0.03  # s, for all rows
 UNKNOWN = 0.015  # s, what is not known of it
-LEARNING = replace(FILTER, readout_sigma=UNKNOWN)
+LEARNING = with_errors(FILTER, readout_sigma=UNKNOWN)
 
 
 def rolled(attitude, rng, *, shutter=SHUTTER, known=None):

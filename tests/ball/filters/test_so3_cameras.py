@@ -8,10 +8,11 @@ from ball_world import detected
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag
 from scipy.stats import chi2
-from so3_world import DISCS, DT, FILTER, OWN, RADIUS, draw, own_motion, points_at, seen, settled, squared
+from so3_world import DISCS, DT, FILTER, OWN, RADIUS, draw, own_motion, points_at, seen, settled, squared, with_errors
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CAMERA_DIM, READOUT
+from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_state import COMMON, with_map
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
@@ -33,7 +34,7 @@ def station(aside):
     rig = Rig(CAMERA, Ball(RADIUS, np.zeros(3), np.diag(BALL_SIGMA**2)), NO_TARGETS, 0.02)
     towards, horizon = pose.position / 1.9, RADIUS / 1.9
     considered = block_diag(pose.covariance, rig.ball.covariance)
-    return rig, pose, So3Filter(OWN.settings, towards, horizon, 0.02 / RADIUS, RADIUS, considered)
+    return rig, pose, So3Filter(OWN.settings, Station(towards, horizon, RADIUS, considered), 0.02 / RADIUS)
 
 
 STATIONS = station(aside=False), station(aside=True)
@@ -43,7 +44,7 @@ def frame(which, R, errors, rng):
     """Points of a frame, as the rig of a camera sees them that is off by errors, (10,), of pose and ball."""
     rig, pose, filter_ = STATIONS[which]
     place = DISCS @ R.T
-    place = place[place @ filter_.towards_camera > filter_.horizon + 0.2]
+    place = place[place @ filter_.station.towards > filter_.station.horizon + 0.2]
     ball = replace(rig.ball, centre=errors[6:9], radius=RADIUS + errors[9])
     through = replace(pose, position=pose.position + errors[:3], rotation=exp(errors[3:6]) @ pose.rotation)
     uv = project(through.to_cam(ball.centre + ball.radius * place), rig.camera)[0]
@@ -57,8 +58,8 @@ def both():
 
 def prior(front, side):
     """(16, 16), of the errors of both cameras before any frame."""
-    shared = front.shared_covariance(side)
-    return np.block([[front.camera_covariance(), shared], [shared.T, side.camera_covariance()]])
+    shared = front.station.shared_covariance(side.station)
+    return np.block([[front.station.covariance(), shared], [shared.T, side.station.covariance()]])
 
 
 def play(cameras, errors, rng, frames=60):
@@ -99,13 +100,13 @@ def test_a_camera_without_frames_changes_nothing():
     assert_allclose(beside.attitude, alone.attitude, atol=1e-12)
     rest = np.delete(np.arange(len(beside.joint)), READOUT + np.arange(CAMERA_DIM))
     assert_allclose(beside.joint[np.ix_(rest, rest)], alone.joint, rtol=1e-6, atol=1e-14)
-    side = STATIONS[1][2].camera_covariance()
+    side = STATIONS[1][2].station.covariance()
     assert_array_equal(beside.facing(0).joint[COMMON, COMMON], side[:-1, :-1])
 
 
 def test_a_camera_that_comes_later_has_the_errors_that_it_would_have():
     """The filter estimates none of them here, so frames of the other camera determine none."""
-    front, side = (replace(filter_, considered=0.01 * filter_.considered) for _, _, filter_ in STATIONS)
+    front, side = (with_errors(filter_, considered=0.01 * filter_.station.considered) for _, _, filter_ in STATIONS)
     rng, alone = np.random.default_rng(53), front.initial(0.0, np.eye(3))
     beside = alone.with_camera(prior(front, side))
     for k, (R, _, _) in enumerate(own_motion(rng, 20)):
@@ -120,7 +121,8 @@ def test_a_camera_that_comes_later_is_corrected_with_the_ball():
     """The first frames show the ball's centre better than the rig; it is that of both cameras."""
     ball = np.diag(np.r_[np.full(3, 2e-3), 0.0] ** 2)
     front, side = (
-        replace(filter_, considered=block_diag(1e-4 * filter_.considered[:6, :6], ball)) for _, _, filter_ in STATIONS
+        with_errors(filter_, considered=block_diag(1e-4 * filter_.station.considered[:6, :6], ball))
+        for _, _, filter_ in STATIONS
     )
     rng, state = np.random.default_rng(54), front.initial(0.0, np.eye(3))
     off = np.r_[np.zeros(6), 2e-3, -1e-3, 1e-3, 0.0]

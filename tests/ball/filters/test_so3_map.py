@@ -126,12 +126,12 @@ def test_an_error_that_attitude_and_discs_share_is_never_measured(axes):
             interval = (0.2 if k % 5 == 0 else DT) if k else 0.0
             rate = rate + 0.7 * rng.normal(size=3) if k % 5 == 0 else rate
             R = exp(interval * rate) @ R
-            which = np.flatnonzero((DISCS @ R.T)[:, 2] > FILTER.horizon + 0.1)
+            which = np.flatnonzero((DISCS @ R.T)[:, 2] > FILTER.station.horizon + 0.1)
             points = points_at(DISCS[which] @ R.T, rng=rng)
             known = np.isin(which, names)
             pairs = Pairing(np.flatnonzero(known), np.array([names.index(i) for i in which[known]], dtype=np.intp))
             state, _ = FILTER.correct(FILTER.predict(state, state.stamp + interval), points, pairs)
-            state = augment(state, points, np.flatnonzero(~known), FILTER.radius)
+            state = augment(state, points, np.flatnonzero(~known), FILTER.station.radius)
             names += which[~known].tolist()
         sigmas.append(np.sqrt(np.trace(state.joint[:3, :3]) / axes))
         squares.append(squared(log(state.attitude @ R.T), state.joint[:3, :3]))
@@ -165,7 +165,7 @@ def test_a_candidate_measures_the_turn_since_its_first_sighting():
         joint = state.joint.copy()
         joint[3:6, 3:6] = 0.5**2 * np.eye(3)
         state = replace(state, joint=joint)
-        state = augment(state, points_at(known @ R.T, rng=rng), np.array([0]), FILTER.radius)
+        state = augment(state, points_at(known @ R.T, rng=rng), np.array([0]), FILTER.station.radius)
         aside = exp(0.3 * rng.normal(size=3)) @ np.cross(DISCS[0], rng.normal(size=3))
         other = (known[0] + 0.5 * aside / np.linalg.norm(aside))[None]
         both = np.concatenate([known, other / np.linalg.norm(other)])
@@ -192,7 +192,7 @@ def test_a_candidate_moves_nothing_and_leaves_no_trace():
     """Two films, one with a candidate in view that is never proven: the same attitude, map and covariance."""
     (plain, R), rng = learnt(), np.random.default_rng(3)
     place = points_at(np.array([[0.1, 0.2, 0.97]]), rng=rng)
-    followed = with_candidates(plain, place, np.array([0]), np.array([3]), FILTER.radius)
+    followed = with_candidates(plain, place, np.array([0]), np.array([3]), FILTER.station.radius)
     plain, followed = (play(s, SPIN, 20, np.random.default_rng(4), R)[0] for s in (plain, followed))
     assert len(followed.candidates) == 1
     followed = keep_candidates(followed, np.zeros(0, dtype=int))
@@ -277,7 +277,7 @@ def test_an_attitude_that_the_discs_share_weakens_no_sighting():
         joint = start.joint.copy()
         joint[:3, :3] = sigma**2 * np.eye(3)
         points = points_at(discs, rng=rng)
-        state, total = augment(replace(start, joint=joint), points, np.arange(3), FILTER.radius), 0.0
+        state, total = augment(replace(start, joint=joint), points, np.arange(3), FILTER.station.radius), 0.0
         for k in range(1, 9):
             points = points_at(discs @ exp(SPIN * k * DT).T, rng=rng)
             state = FILTER.predict(state, k * DT)
