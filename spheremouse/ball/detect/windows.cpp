@@ -11,6 +11,8 @@ namespace {
 constexpr double EXPECTED = 0.3;    // of the contrast suffices at a place that the map predicts: glare, deep shade
 constexpr double UNEXPECTED = 0.5;  // of the usual one elsewhere: the edge of a strut has less
 constexpr double APART = 0.3;       // of a disc's diameter: of two nearer discs, the one with the worse fit is left out
+constexpr double FAR = 1.0;         // px off the expected place, from which the disc has another shape
+constexpr int MOST_AGAIN = 3;       // fits of a disc that is far off
 
 /// A disc whose image is large enough and wholly in the picture.
 struct Disc {
@@ -91,14 +93,48 @@ nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model
     return to_numpy(found);
 }
 
-/// Fit discs, and move their centroids to their centres.
-std::vector<Measured> fit_all(const Photo& photo, std::vector<Disc>& discs, const std::vector<Expected>& expected,
-                              const DiscModel& model, double contrast, Common& common) {
-    const std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
+/// Expect a disc where its fit ended; return false if it would not be seen there.
+bool expect_at_fit(const Photo& photo, const DiscModel& model, const Vector<3>& rate, const Fit& fit, Disc& disc,
+                   Expected& expected) {
+    const Vector<2> centre = fit.centroid - disc.seen.centroid + disc.seen.centre;
+    const Hit hit = first_hit(model.view, unproject(model.view.camera, centre).place);
+    if (!hit.met) return false;
+    const Vector<3> direction = (hit.point - model.view.centre) / model.view.radius;
+    const Appearance seen = appearance(model.view, direction);
+    if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) return false;
+    disc.seen = seen;
+    expected = {seen.centroid, seen.shape, path_of(model, direction, seen.centre, rate)};
+    return true;
+}
+
+/// Fit discs; those that are far from their expected places are fitted again, with the shapes that they have there.
+///
+/// A push takes discs farther than the steps of one fit, and so does a start at the middle of what a cover leaves. A
+/// fit that ends far from its place again and again slides along an edge.
+std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
+                              std::vector<Disc>& discs, std::vector<Expected>& expected, Common& common) {
+    const Common before = common;
+    std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
+    for (int round = 0;; round++) {
+        bool any_far = false;
+        for (size_t i = 0; i < discs.size(); i++) {
+            if (!(fits[i].ok && (fits[i].centroid - expected[i].place).norm() > FAR)) continue;
+            fits[i].ok = round < MOST_AGAIN && expect_at_fit(photo, model, rate, fits[i], discs[i], expected[i]);
+            any_far |= fits[i].ok;
+        }
+        if (!any_far) return fits;
+        common = before;
+        fits = fit_discs(photo, expected, model.fit, contrast, common);
+    }
+}
+
+/// Return the discs with their centres in place of their centroids; `places` are the expected ones of the centroids.
+std::vector<Measured> at_centres(std::vector<Disc>& discs, const std::vector<Fit>& fits,
+                                 const std::vector<Vector<2>>& places, const DiscModel& model) {
     for (size_t i = 0; i < discs.size(); i++) {
         discs[i].fit = fits[i];
-        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;                // the eccentricity
-        const double beside = (fits[i].centroid - expected[i].place).norm() / model.diameter;  // of the expected place
+        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;        // the eccentricity
+        const double beside = (fits[i].centroid - places[i]).norm() / model.diameter;  // of the expected place
         discs[i].fit.covariance += (repeats(discs[i].moved + beside) - 1.0) * fits[i].by_cover;
     }
     return best_of(discs, APART * model.diameter);
@@ -123,20 +159,25 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
                               const Motion& motion, Common& common) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
+    std::vector<Vector<2>> places;
     for (nb::ssize_t i = 0; i < directions.rows(); i++) {
         const Vector<3> direction = at_readout(model.view, directions.row(i), motion);
         const Appearance seen = appearance(model.view, direction);
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
         discs.push_back({seen, moved(model.view, direction, motion), {}});
         expected.push_back({seen.centroid, seen.shape, path_of(model, direction, seen.centre, motion.rate)});
+        places.push_back(seen.centroid);
     }
-    return fit_all(photo, discs, expected, model, EXPECTED * std::max(model.fit.contrast, common.contrast), common);
+    const double contrast = EXPECTED * std::max(model.fit.contrast, common.contrast);
+    const std::vector<Fit> fits = fit_in_place(photo, model, motion.rate, contrast, discs, expected, common);
+    return at_centres(discs, fits, places, model);
 }
 
 std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
                                      double usual) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
+    std::vector<Vector<2>> starts;
     for (const Vector<2>& place : places) {
         const Hit hit = first_hit(model.view, unproject(model.view.camera, place).place);
         if (!hit.met) continue;
@@ -144,9 +185,12 @@ std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vecto
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
         discs.push_back({seen, std::numeric_limits<double>::infinity(), {}});
         expected.push_back({place, seen.shape, Vector<7>::Zero()});
+        starts.push_back(place);
     }
     Common common{0.0, usual};
-    return fit_all(photo, discs, expected, model, std::max(model.fit.contrast, UNEXPECTED * usual), common);
+    const double contrast = std::max(model.fit.contrast, UNEXPECTED * usual);
+    const std::vector<Fit> fits = fit_in_place(photo, model, Vector<3>::Zero(), contrast, discs, expected, common);
+    return at_centres(discs, fits, starts, model);
 }
 
 void bind_windows(nb::module_& m) {

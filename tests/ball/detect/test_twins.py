@@ -110,7 +110,7 @@ def test_a_disc_behind_a_cover_is_fitted_as_its_twin(grey):
 def test_discs_are_measured_where_and_how_they_are_seen(exposure):
     rig = replace(RIG, exposure_s=exposure)
     model = disc_detector(DiscSettings(), rig, POSE).model
-    image, motion = photo(CLEAN, 1.0)[:, :, None], Motion(np.array([1.0, -0.5, 0.7]), 0.02)
+    image, motion = photo(CLEAN, 1.0)[:, :, None], Motion(np.array([1.0, -0.5, 0.7]), 0.004)
     seen, path, which = twins.windows(DISCS, rig, POSE, model, motion)
     expected = seen.centroid[which], seen.shape[which], path[which]
     contrast = 0.3 * model.fit.contrast
