@@ -24,8 +24,7 @@ constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both r
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
 constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur shortens it, the same
 constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
-constexpr double LOST = 1.5;           // px², variance per part of the rim that does not fit at all
-constexpr double MISFIT = 3.0;         // px², the same per part that fits worse than that of whole discs
+constexpr double MISFIT = 16.0;        // px²: error times semi-minor axis, per part of the rim that does not fit
 constexpr double SHOWN = 0.15;         // least part of the rim beside a cover: an arc of 54 degrees
 constexpr double SMEARED = 2.0;        // px: a longer way lightens a part of a disc as a cover does
 constexpr double OTHER_SIZE = 3.0;     // standard deviations of the size, beyond which it is something else
@@ -298,17 +297,21 @@ void set_covariance(Fit& result, const DiscFit& fit, const Quality& q, double no
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
     const double thin = 1.0 / (fit.minor * fit.minor), sliver = SLIVER_BIAS * thin;
     const double cover = COVER_BIAS / std::pow(fit.minor, 3);
-    // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only
+    // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only,
+    // alike in each view
     const Vector<2> moved = C.topRightCorner<2, 1>() / C(2, 2) * fit.rim_sigma();
-    result.covariance =
-        variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity() + moved * moved.transpose();
+    const Matrix<2> by_rim = moved * moved.transpose();
+    result.covariance = variance * C.topLeftCorner<2, 2>() + sliver * sliver * Matrix<2>::Identity();
     if (fit.shown < 1.0) {
-        result.by_cover = cover * cover * fit.disc.shape;
+        result.by_cover = cover * cover * fit.disc.shape + by_rim;
         return;
     }
-    // Gloss fits as badly as a cover, with nothing foreign beside it. Of whole discs one in twenty fits worse.
+    result.covariance += by_rim;
+    // Gloss fits as badly as a cover, with nothing foreign beside it. Of whole discs one in twenty fits worse. A part
+    // of the rim that does not fit shifts the centre in proportion to it, and a large disc less: from rendered covers.
     const double near = std::min(foreign_beside(fit.pixels) / NEAR_COVER, 1.0);
-    const double misfit = std::max(LOST * q.lost, near * MISFIT * (0.95 - 0.1 / fit.minor - q.fits));
+    const double unfit = std::max(q.lost, near * (0.95 - 0.1 / fit.minor - q.fits));
+    const double misfit = std::pow(MISFIT * unfit / std::max(fit.minor, LARGE), 2);
     // An edge beside the disc that is not recognised as one of a cover passes for a rim: it shifts the size as much as
     // the centre. A thin disc with a hidden end fits well, so only its size shows that.
     if (fit.minor < LARGE) {
@@ -316,8 +319,7 @@ void set_covariance(Fit& result, const DiscFit& fit, const Quality& q, double no
         result.by_cover = misfit * Matrix<2>::Identity() + other * other * fit.disc.shape;
     } else {
         const double other = std::max(std::abs(fit.x(8) - size) - fit.size_sigma(), 0.0) * fit.minor;
-        result.by_cover = near * other * other * Matrix<2>::Identity();
-        result.covariance += misfit * Matrix<2>::Identity();
+        result.by_cover = (misfit + near * other * other) * Matrix<2>::Identity();
     }
 }
 
@@ -355,9 +357,9 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
                 moved < 0.1;
     result.rim = q.fits * fit.shown;
     result.centroid = fit.disc.place + x.segment<2>(6);
-    const double systematic = settings.sigma * settings.sigma + corrected.squaredNorm();
     set_covariance(result, fit, q, photo.noise, size);
-    result.covariance += result.by_cover + systematic * Matrix<2>::Identity();
+    result.by_cover += corrected.squaredNorm() * Matrix<2>::Identity();
+    result.covariance += result.by_cover + settings.sigma * settings.sigma * Matrix<2>::Identity();
     return result;
 }
 

@@ -10,7 +10,7 @@ from spheremouse.geometry.rotation import exp
 
 SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
 SIZE, RIM_OFFSET, SLIVER_BIAS, SLIVER_SIZE, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 0.18, 1.5, 0.02
-LOST, MISFIT, SMEARED, LARGE = 1.5, 3.0, 2.0, 3.0
+MISFIT, SMEARED, LARGE = 16.0, 2.0, 3.0
 LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS, SMEARED_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10, 5
 LIFTED, TWO_SHADES, STRAY, MARGIN = 0.15, 0.8, 0.3, 2.0
 
@@ -199,7 +199,8 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
     C, sliver = np.linalg.inv(fit.N)[6:, 6:], SLIVER_BIAS / fit.minor**2
     by_rim = C[:2, 2] / C[2, 2] * rim_sigma
     near = min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
-    misfit = max(LOST * lost, near * MISFIT * (0.95 - 0.1 / fit.minor - rim)) * np.eye(2)
+    unfit = max(lost, near * (0.95 - 0.1 / fit.minor - rim))
+    misfit = (MISFIT * unfit / max(fit.minor, LARGE)) ** 2 * np.eye(2)
     if fit.shown < 1.0:
         other = (COVER_BIAS / fit.minor**3) ** 2 * shape
     elif fit.minor < LARGE:
