@@ -23,7 +23,8 @@ import numpy as np
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import Pairing
-from spheremouse.ball.filters.so3_state import So3State, augment
+from spheremouse.ball.filters.so3_map import augment
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Events, Tracker, Tracking, TrackState
 from spheremouse.ball.track import advance, step

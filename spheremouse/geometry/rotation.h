@@ -49,4 +49,12 @@ inline Matrix<3> left_jacobian(const Vector<3>& v) {
     return about(v, 1.0 - b * square, half_square(square, angle, small), b);
 }
 
+/// Return two orthonormal columns perpendicular to a unit vector, as `tangent_basis` of `rotation.py` has them.
+inline Matrix<3, 2> tangent_basis(const Vector<3>& u) {
+    const double sign = std::copysign(1.0, u(2)), a = -1.0 / (sign + u(2)), b = u(0) * u(1) * a;
+    Matrix<3, 2> E;
+    E << 1.0 + sign * u(0) * u(0) * a, b, sign * b, sign + u(1) * u(1) * a, -sign * u(0), -u(1);
+    return E;
+}
+
 }  // namespace spheremouse

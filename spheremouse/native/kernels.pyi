@@ -275,8 +275,8 @@ def follow_discs(
     ValueError if a sample's neighbour is outside of the image.
     """
 
-# spheremouse/ball/filters/so3_frame.cpp, so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_update.cpp. Errors have
-# the order of so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is
+# spheremouse/ball/filters/so3_frame.cpp, so3_map.cpp, so3_match.cpp, so3_motion.cpp, so3_move.cpp, so3_update.cpp.
+# Errors have the order of so3_motion.py. `body`, `pending` and `sightings` are those of So3State, `points` is
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
 
@@ -295,6 +295,12 @@ _Figures = tuple[
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
 _Pairs = tuple[_Index, _Index, bool, float]  # as `so3.Pairing`
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
+
+def take_up(body: _Body, points: _Points, which: _Index, moves: bool) -> tuple[_Float, _Float, _Float]:
+    """Take up the points `which`, (k,), as landmarks: places, (k, 3) in ball, axes, (k, 3, 2), and all of `joint`.
+
+    A rig that is known badly adds noise for the omitted terms, unless the centre `moves`.
+    """
 
 def place_sigma(body: _Body, which: _Index, added: _Float) -> _Float:
     """Return the standard deviation, (k,) rad, of the predicted place of each disc of `which`, on the worse axis."""

@@ -55,6 +55,27 @@ struct Points {
     Matrix<3> noise(int i) const { return View<3, 3>(covariance.row(i).data()) / (radius * radius); }
 };
 
+/// A disc as the camera sees it.
+struct Place {
+    Vector<3> p;     // obj
+    Matrix<3, 2> E;  // tangent axes, obj
+    Matrix<2, 3> H;  // d z / d rotation error of z = E' b: a turn e moves p by e x p
+
+    /// A disc and its axes in ball, at an attitude.
+    Place(const Vector<3>& disc, const Matrix<3, 2>& basis, const Matrix<3>& attitude)
+        : p(attitude * disc), E(attitude * basis) {
+        for (int a = 0; a < 2; a++) H.row(a) = p.cross(Vector<3>(E.col(a))).transpose();
+    }
+
+    /// The disc k some time after the stamp.
+    Place(const Body& body, int k, double delay);
+};
+
+constexpr int FIXED = MAP_OFFSET;  // errors on which the place of a disc depends, besides its own
+
+/// Return d z / d (rotation, rate, acceleration, rig, axes, readout) of the point i.
+Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place);
+
 /// The innovations of k pairs.
 struct Innovation {
     Matrix<Dynamic, CORE> H;  // (2k, 9)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters.so3_map import augment, drop, promote, with_candidates, without_candidates
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
     KINEMATIC_DIM,
@@ -31,15 +32,10 @@ from spheremouse.ball.filters.so3_state import (
     RIG,
     WANDER_S,
     So3State,
-    augment,
-    drop,
     inject,
     move_centres,
     omitted_variance,
-    promote,
-    with_candidates,
     with_rig_uncertainty,
-    without_candidates,
 )
 from spheremouse.ball.points import Measurement, SpherePoints
 from spheremouse.geometry.matching import are_among, assign, suppress

@@ -8,27 +8,12 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int FIXED = MAP_OFFSET;    // errors on which the place of a disc depends, besides its own
 constexpr double NEAR = 0.99;        // cosine of 8 degrees, the largest distance of a pair with all considered errors
 constexpr double NEARBY = 0.9;       // cosine of 26 degrees, the largest distance of a pair with any readout delay
 constexpr double WIDE_SPREAD = 0.1;  // rad: an attitude known worse than that is not linear in any sense
 constexpr double DETECTED = 0.8;     // probability that a disc in view is seen: hands and struts hide some
 constexpr int MOST_OTHERS = 100;     // cameras
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
-/// A disc as the camera sees it some time after the stamp.
-struct Place {
-    Vector<3> p;     // obj
-    Matrix<3, 2> E;  // tangent axes, obj
-    Matrix<2, 3> H;  // d z / d rotation error of z = E' b: a turn e moves p by e x p
-
-    Place(const Body& body, int k, double delay) {
-        const Matrix<3> R = delay == 0.0 ? body.attitude : Matrix<3>(exp(body.turn(delay)) * body.attitude);
-        p = R * body.discs.row(k).transpose();
-        E = R * View<3, 2>(body.basis.row(k).data());
-        for (int a = 0; a < 2; a++) H.row(a) = p.cross(Vector<3>(E.col(a))).transpose();
-    }
-};
-
 /// Return the covariance of a disc's predicted place by the errors of rotation and disc.
 Matrix<2> place_covariance(const Body& body, const Matrix<2, 3>& H, int k, const Noise& added) {
     const View<>& P = body.P;
@@ -36,23 +21,6 @@ Matrix<2> place_covariance(const Body& body, const Matrix<2, 3>& H, int k, const
     const Matrix<2> cross = H * P.block<3, 2>(0, at);
     return P.block<2, 2>(at, at) + cross + cross.transpose() +
            H * (P.topLeftCorner<3, 3>() + added.topLeftCorner<3, 3>()) * H.transpose();
-}
-
-/// Return d z / d (rotation, rate, acceleration, rig, axes, readout) of the point i.
-Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place) {
-    Matrix<2, FIXED> J = Matrix<2, FIXED>::Zero();
-    const double t = points.delay(i);
-    J.leftCols<3>() = place.H;
-    if (t != 0.0) {
-        const Vector<3> turn = body.turn(t);
-        J.leftCols<3>() = place.H * exp(turn);
-        J.middleCols<3>(3) = t * place.H * left_jacobian(turn);
-        J.middleCols<3>(6) = 0.5 * t * J.middleCols<3>(3);
-    }
-    J.middleCols<3>(AXES) = -place.H;  // a turn of the axes moves the direction of the point
-    J.middleCols<RIG_DIM>(RIG) = -place.E.transpose() * points.by_rig(i);
-    J.col(READOUT) = place.H * body.rate * points.row(i);
-    return J;
 }
 
 /// Return the rows of P, from the column `at` on, of the errors in the order of the Jacobian.
@@ -166,6 +134,26 @@ bool unambiguous(const Dense& distance, double gate) {
 }
 
 }  // namespace
+
+Place::Place(const Body& body, int k, double delay)
+    : Place(body.discs.row(k), View<3, 2>(body.basis.row(k).data()),
+            delay == 0.0 ? body.attitude : Matrix<3>(exp(body.turn(delay)) * body.attitude)) {}
+
+Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place) {
+    Matrix<2, FIXED> J = Matrix<2, FIXED>::Zero();
+    const double t = points.delay(i);
+    J.leftCols<3>() = place.H;
+    if (t != 0.0) {
+        const Vector<3> turn = body.turn(t);
+        J.leftCols<3>() = place.H * exp(turn);
+        J.middleCols<3>(3) = t * place.H * left_jacobian(turn);
+        J.middleCols<3>(6) = 0.5 * t * J.middleCols<3>(3);
+    }
+    J.middleCols<3>(AXES) = -place.H;  // a turn of the axes moves the direction of the point
+    J.middleCols<RIG_DIM>(RIG) = -place.E.transpose() * points.by_rig(i);
+    J.col(READOUT) = place.H * body.rate * points.row(i);
+    return J;
+}
 
 Body read_body(nb::tuple body) {
     members(body, 11, "body");

@@ -1,6 +1,6 @@
 """The state of the default filter: attitude, rate, acceleration and the map of discs, with one covariance for all.
 
-How errors move it, and how discs enter and leave it. The filter itself is in `so3`.
+How errors move it. `so3_map` has how discs enter and leave it, and `so3` the filter itself.
 """
 
 from dataclasses import dataclass, field, replace
@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_motion import (
     AXES,
     CAMERA_DIM,
@@ -19,15 +18,13 @@ from spheremouse.ball.filters.so3_motion import (
     READOUT,
     RIG_DIM,
 )
-from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
+from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
-from spheremouse.geometry.matching import are_among
-from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
+from spheremouse.geometry.rotation import Array, hat
 from spheremouse.native import kernels
 
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
-_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 WANDER_S = 0.25  # s, after which a centre that moves is as likely to come back as to move on
 RIG = slice(KINEMATIC_DIM, AXES)  # errors of focal length and centre
 CENTRE = slice(KINEMATIC_DIM + 1, AXES)  # errors of the centre
@@ -270,19 +267,6 @@ class So3State:
         """The normalised innovation squared of the last update."""
         return {"nis": self.nis}
 
-    def to_map(self, least: int) -> DiscMap | None:
-        """Return the discs seen at least so often, as files keep them; None with fewer than four."""
-        keep = self.hits >= least
-        if np.count_nonzero(keep) < 4:
-            return None
-        kept = drop(without_candidates(self), keep)
-        basis = tangent_basis(kept.discs)
-        T = basis.transpose(0, 2, 1) @ kept.basis
-        m = len(kept.discs)
-        P = kept.joint[kept.map_row : -CLONE_DIM, kept.map_row : -CLONE_DIM].reshape(m, 2, m, 2)
-        P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
-        return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
-
 
 def inject(
     state: So3State,
@@ -319,138 +303,9 @@ def inject(
     )
 
 
-def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
-    """Forget the discs that are not in a mask, (m,)."""
-    if keep.all():
-        return state
-    state = _with_landmarks(state, np.flatnonzero(np.concatenate([keep, np.ones(len(state.candidates), dtype=bool)])))
-    others = tuple(other._replace(hidden=other.hidden[keep]) for other in state.others)
-    return replace(state, hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep], others=others)
-
-
-def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
-    """Forget the candidates without one of the `numbers`, (k,)."""
-    keep = are_among(state.candidates, numbers)
-    if keep.all():
-        return state
-    m = len(state.discs)
-    return replace(_with_landmarks(state, np.r_[:m, m + np.flatnonzero(keep)]), candidates=state.candidates[keep])
-
-
-def without_candidates(state: So3State) -> So3State:
-    """Forget all candidates."""
-    return keep_candidates(state, _NONE)
-
-
-def promote(state: So3State, which: NDArray[np.intp]) -> So3State:
-    """Make discs of the candidates `which`, (k,) indices; they become the last discs, in that order."""
-    m, rest = len(state.discs), np.delete(np.arange(len(state.candidates)), which)
-    state = replace(_with_landmarks(state, np.r_[:m, m + which, m + rest]), candidates=state.candidates[rest])
-    return _counted_once(state, len(which))
-
-
-def _with_landmarks(state: So3State, which: NDArray[np.intp]) -> So3State:
-    """Return the state with the landmarks `which`, (k,) indices, in that order."""
-    first = state.map_row
-    errors = first + (2 * which[:, None] + np.arange(2)).ravel()
-    rows = np.concatenate([np.arange(first), errors, len(state.joint) - CLONE_DIM + np.arange(CLONE_DIM)])
-    return replace(
-        state, landmarks=state.landmarks[which], basis=state.basis[which], joint=state.joint[np.ix_(rows, rows)]
-    )
-
-
-def _counted_once(state: So3State, k: int) -> So3State:
-    """Return the state with k discs after the counted ones, each seen once."""
-    none, hidden = np.zeros(k, dtype=np.intp), np.full(k, HIDDEN_SHARE)
-    return replace(
-        state,
-        others=tuple(o._replace(hidden=np.concatenate([o.hidden, hidden])) for o in state.others),
-        hits=np.concatenate([state.hits, none + 1]),
-        missed=np.concatenate([state.missed, none]),
-        hidden=np.concatenate([state.hidden, np.full(k, FALSE_SHARE)]),
-    )
-
-
-def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radius: float) -> So3State:
-    """Take up the points `index`, (k,), on a ball of `radius` m as discs, with covariance and correlations."""
-    if len(index) == 0:
-        return state
-    state = with_candidates(state, points, index, np.full(len(index), -1), radius)
-    return promote(state, np.flatnonzero(state.candidates < 0))
-
-
-def with_candidates(
-    state: So3State, points: SpherePoints, index: NDArray[np.intp], numbers: NDArray[np.intp], radius: float
-) -> So3State:
-    """Take up the points `index`, (k,), on a ball of `radius` m as candidates with `numbers`, (k,).
-
-    d = R^T b; a rotation error e turns it by R^T (b x e), an error of pose or ball by R^T db: the inverse observation
-    of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
-    """
-    if len(index) == 0:
-        return state
-    points, common = points.take(index), state.map_row
-    b, k, n = points.seen_with(state.rig_error), len(index), len(state.joint) - CLONE_DIM
-    late = delays(points, state)
-    turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
-    R = exp(turn) @ state.attitude
-    places = np.einsum("kij,ki->kj", R, b)
-    basis = tangent_basis(places)
-    E = R @ basis
-    turning = E.transpose(0, 2, 1) @ hat(b)
-    delay, along = late[:, None, None], turning @ left_jacobian(turn)
-    by_rig = E.transpose(0, 2, 1) @ points.ddirection_drig
-    by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
-    by_motion = [turning @ exp(turn), delay * along, 0.5 * delay**2 * along]
-    by_others = np.zeros((k, 2, common - MAP_OFFSET))
-    G = np.concatenate([*by_motion, by_rig, -turning, by_others, by_readout], axis=2).reshape(-1, common)
-    noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
-    P = state.joint
-    if state.centre_noise == 0.0:
-        doubt = by_rig @ P[RIG, RIG] @ by_rig.transpose(0, 2, 1)
-        noise += omitted_variance(doubt)[:, None, None] * np.eye(2)
-    joint = np.zeros((n + 2 * k + CLONE_DIM, n + 2 * k + CLONE_DIM))
-    old = np.r_[:n, n + 2 * k : len(joint)]
-    joint[np.ix_(old, old)] = P
-    new = slice(n, n + 2 * k)
-    joint[new, :n] = G @ P[:common, :n]
-    joint[new, n + 2 * k :] = G @ P[:common, n:]
-    joint[:, new] = joint[new].T
-    joint[new, new] = G @ P[:common, :common] @ G.T
-    for i in range(k):
-        at = n + 2 * i
-        joint[at : at + 2, at : at + 2] += noise[i]
-    return replace(
-        state,
-        landmarks=np.concatenate([state.landmarks, places]),
-        basis=np.concatenate([state.basis, basis]),
-        joint=joint,
-        candidates=np.concatenate([state.candidates, numbers]),
-    )
-
-
 def delays(points: SpherePoints, state: So3State) -> Array:
     """Return the delay of each point's exposure, (n,) s after the stamp, with the estimated rolling shutter."""
     return points.delay + state.readout * points.row if state.readout != 0.0 else points.delay
-
-
-def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3State:
-    """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
-    m, first = len(known), state.map_row
-    joint = np.zeros((first + 2 * m + CLONE_DIM, first + 2 * m + CLONE_DIM))
-    joint[:first, :first] = state.joint[:first, :first]
-    joint[first:-CLONE_DIM, first:-CLONE_DIM] = known.covariance
-    return replace(
-        state,
-        landmarks=known.directions.copy(),
-        basis=tangent_basis(known.directions),
-        joint=joint,
-        hits=np.minimum(known.sightings, most),
-        missed=np.zeros(m, dtype=np.intp),
-        hidden=np.full(m, HIDDEN_SHARE),
-        candidates=_NONE,
-        others=tuple(other._replace(hidden=np.full(m, HIDDEN_SHARE)) for other in state.others),
-    )
 
 
 def omitted_variance(covariance: Array) -> Array:

@@ -15,8 +15,9 @@ from spheremouse.ball.associate import identify
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
+from spheremouse.ball.filters.so3_map import keep_candidates
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
-from spheremouse.ball.filters.so3_state import So3State, keep_candidates
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import F, Tracker, TrackState, clear_matches, no_points
 from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import rotation_between

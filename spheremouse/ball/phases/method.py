@@ -6,7 +6,8 @@ from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common, with_map, without_candidates
+from spheremouse.ball.filters.so3_map import to_map, with_map, without_candidates
+from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common
 from spheremouse.ball.phases.bearing import check_bearings, check_learning
 from spheremouse.ball.phases.follow import follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
@@ -75,7 +76,7 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
 
 def _to_map(state: TrackState[So3State]) -> DiscMap | None:
     """Return the map of discs to save; None with fewer than four certain ones."""
-    found = None if isinstance(state.phase, Recognising) else state.filter.to_map(SURE)
+    found = None if isinstance(state.phase, Recognising) else to_map(state.filter, SURE)
     return None if found is None else replace(found, projection=state.colours.projection)
 
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.disc_map import DiscMap, variances
-from spheremouse.ball.filters.so3_state import So3State, with_map
+from spheremouse.ball.filters import so3_map
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import SURE, Recognising, TrackState
 from spheremouse.ball.texture.picture import (
     HALF,
@@ -141,7 +142,7 @@ def to_map(state: TrackState[So3State]) -> PictureMap | None:
     now = state.search
     if isinstance(state.phase, Recognising) or not isinstance(now, TextureState) or not now.turned:
         return None
-    parts = state.filter.to_map(SURE)
+    parts = so3_map.to_map(state.filter, SURE)
     if parts is None or now.usual == 0.0:
         return None
     details = now.details / max(len(now.coarse.seen.least), 1)
@@ -152,7 +153,7 @@ def recall(state: TrackState[So3State], known: BallMap) -> TrackState[So3State]:
     """Return the state in which the ball is recognised by a saved picture first."""
     if not isinstance(known, PictureMap):
         return state
-    return state._replace(phase=Recognising(), filter=with_map(state.filter, known.parts), search=known)
+    return state._replace(phase=Recognising(), filter=so3_map.with_map(state.filter, known.parts), search=known)
 
 
 def recalled(detector: TextureDetector, frame: Frame, saved: PictureMap) -> TextureState:

@@ -34,9 +34,10 @@ from so3_world import (
 )
 
 from spheremouse.ball.filters.so3 import Pairing, relocate
+from spheremouse.ball.filters.so3_map import augment
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS, PERSISTENCE_S
-from spheremouse.ball.filters.so3_state import augment, inject
+from spheremouse.ball.filters.so3_state import inject
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 
 FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400 deg/s

@@ -29,9 +29,10 @@ from so3_world import (
 )
 
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_map import augment
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_rig import Station
-from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, augment, inject, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, inject, with_uncertain_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project

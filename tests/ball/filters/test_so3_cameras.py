@@ -11,9 +11,10 @@ from scipy.stats import chi2
 from so3_world import DISCS, DT, FILTER, OWN, RADIUS, draw, own_motion, points_at, seen, settled, squared, with_errors
 
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_map import to_map, with_map
 from spheremouse.ball.filters.so3_motion import CAMERA_DIM, READOUT
 from spheremouse.ball.filters.so3_rig import Station
-from spheremouse.ball.filters.so3_state import COMMON, with_map
+from spheremouse.ball.filters.so3_state import COMMON
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -157,7 +158,7 @@ def test_maps_of_several_cameras_grow_and_shrink_together():
     later = FILTER.update(replace(two, attitude=turned), points_at(seen(turned)))
     assert len(later.discs) > len(two.discs)
     assert [len(other.hidden) for other in later.others] == [len(later.discs)]
-    saved, alone = two.to_map(1), state.to_map(1)
+    saved, alone = to_map(two, 1), to_map(state, 1)
     assert_array_equal(saved.directions, alone.directions)
     assert_array_equal(saved.covariance, alone.covariance)
     assert with_map(two, saved).joint.shape == two.joint.shape

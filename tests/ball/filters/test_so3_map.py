@@ -12,19 +12,13 @@ from so3_world import seen as directions_seen
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import CandidatePoints, Pairing, relocate
+from spheremouse.ball.filters.so3_map import augment, drop, keep_candidates, to_map, with_candidates, with_map
 from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import (
-    add_common,
-    augment,
-    drop,
-    forget_common,
-    inject,
-    keep_candidates,
-    with_candidates,
-    with_map,
-)
+from spheremouse.ball.filters.so3_state import RIG, add_common, forget_common, inject
 from spheremouse.geometry.rotation import exp, log, tangent_basis
+from spheremouse.native import kernels
+from tests.ball.filters.twins import drawn, linear
 
 DISCS = directions(24, 7, 0.35)
 SPIN = np.array([2.0, -0.3, 0.2])
@@ -57,13 +51,13 @@ def test_the_map_holds_the_discs_seen_often_enough():
     assert len(state.discs) == 24
     hits = state.hits.copy()
     hits[[2, 5]] = 2
-    known = replace(state, hits=hits).to_map(3)
+    known = to_map(replace(state, hits=hits), 3)
     assert known is not None
     keep = np.delete(np.arange(24), [2, 5])
     assert_array_equal(known.directions, state.discs[keep])
     assert_array_equal(known.sightings, hits[keep])
-    assert replace(state, hits=np.where(np.arange(24) < 3, 9, 0)).to_map(3) is None  # too few to know a ball by
-    some = replace(state, hits=np.where(np.arange(24) < 4, 9, 0)).to_map(3)
+    assert to_map(replace(state, hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
+    some = to_map(replace(state, hits=np.where(np.arange(24) < 4, 9, 0)), 3)
     assert some is not None
     assert len(some) == 4
 
@@ -80,7 +74,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
         at = MAP_OFFSET + 2 * i
         T[at : at + 2, at : at + 2] = turn[i].T
     state = replace(state, basis=turned, joint=T @ state.joint @ T.T)
-    known = state.to_map(1)
+    known = to_map(state, 1)
     assert known is not None
     axes = tangent_basis(known.directions)
     rng = np.random.default_rng(1)
@@ -95,10 +89,10 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
 
 def test_with_map_and_to_map_are_inverses():
     state, _ = learnt()
-    known = state.to_map(1)
+    known = to_map(state, 1)
     assert known is not None
     fresh = FILTER.initial(5.0, np.eye(3))
-    back = with_map(fresh, known, 1000).to_map(1)
+    back = to_map(with_map(fresh, known, 1000), 1)
     assert back is not None
     assert_allclose(back.directions, known.directions, atol=1e-15)
     assert_allclose(back.covariance, known.covariance, atol=1e-9 * np.abs(known.covariance).max())
@@ -188,6 +182,27 @@ def test_a_candidate_measures_the_turn_since_its_first_sighting():
     assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_innovation_of_a_point_that_was_taken_up_is_its_image_noise(moves):
+    """It depends on no other error, and so another view measures the motion since."""
+    body, points = drawn(4)
+    which = np.array([2, 0, 5])
+    places, basis, joint = kernels.take_up(body, points, which, moves)
+    discs, axes = np.concatenate([body[3], places]), np.concatenate([body[4], basis])
+    after = *body[:3], discs, axes, joint, *body[6:8], len(discs), *body[9:]
+    old = np.delete(np.arange(len(joint)), MAP_OFFSET + 24 + np.arange(6))
+    assert_allclose(joint[np.ix_(old, old)], body[5], rtol=0, atol=0)
+    assert_allclose(joint, joint.T, rtol=0, atol=0)
+    assert_allclose(basis.transpose(0, 2, 1) @ places[:, :, None], 0.0, atol=1e-15)
+    for k, i in enumerate(which):
+        z, H, noise = linear(after, points, i, 12 + k)
+        doubt = H[:, RIG] @ joint[RIG, RIG] @ H[:, RIG].T
+        noise += 0.0 if moves else np.trace(doubt) ** 2 * np.eye(2)
+        assert_allclose(z, 0.0, atol=1e-15)
+        assert_allclose(H @ joint @ H.T, noise, rtol=1e-9, atol=1e-18)
+        assert_allclose(H @ joint[:, old], 0.0, atol=1e-12 * np.sqrt(joint.max()))
+
+
 def test_a_candidate_moves_nothing_and_leaves_no_trace():
     """Two films, one with a candidate in view that is never proven: the same attitude, map and covariance."""
     (plain, R), rng = learnt(), np.random.default_rng(3)
@@ -204,7 +219,7 @@ def test_a_candidate_moves_nothing_and_leaves_no_trace():
 def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
     """Another run, another attitude, found to 3 mrad: as near to the truth, and as certain of it, as had it gone on."""
     before, R = learnt()
-    known = before.to_map(ESTABLISHED_HITS)
+    known = to_map(before, ESTABLISHED_HITS)
     assert known is not None
     rng = np.random.default_rng(3)
     found = exp(3e-3 * rng.normal(size=3)) @ R
@@ -223,7 +238,7 @@ def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
 
 def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
     """30 maps drawn from one covariance, each found at another attitude: chi-square of the attitude, 95 % band."""
-    known = learnt()[0].to_map(1)
+    known = to_map(learnt()[0], 1)
     assert known is not None
     rng = np.random.default_rng(5)
     axes = tangent_basis(DISCS)

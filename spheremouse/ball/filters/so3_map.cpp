@@ -1,0 +1,66 @@
+// Points that the state takes up as landmarks, with covariance and correlations.
+//
+// A landmark is at R' b, where b is the direction of its point. That is the inverse observation of EKF-SLAM, which
+// Wittich 2017, eq. 171 leaves out. An error of its place is that of the innovation of the point, with the other sign.
+#include "spheremouse/ball/filters/so3.h"
+#include "spheremouse/geometry/rotation.h"
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr double MOST_DOUBT = 0.25;  // rad², of a place: a disc that may be anywhere is no worse
+
+struct Found {
+    Rows<3> places;    // ball
+    Rows<3, 2> basis;  // ball
+    Dense joint;       // with the errors of the new landmarks after those of the others
+};
+
+/// Return the points `which` as landmarks. A rig that is known badly adds noise for the terms that J omits.
+Found take_up(const Body& body, const Points& points, const Indices& which, bool moves) {
+    const int k = int(which.size()), old = int(body.P.rows()), n = old - CLONE;
+    Found r{Rows<3>(which.size()), Rows<3, 2>(which.size()), Dense(old + 2 * k, old + 2 * k)};
+    Matrix<Dynamic, FIXED> G(2 * k, FIXED);
+    Dense noise = Dense::Zero(2 * k, 2 * k);
+    for (int i = 0; i < k; i++) {
+        const int point = which[size_t(i)];
+        const Matrix<3> R = exp(body.turn(points.delay(point))) * body.attitude;
+        r.places[size_t(i)] = R.transpose() * points.direction.row(point).transpose();
+        r.basis[size_t(i)] = tangent_basis(r.places[size_t(i)]);
+        const Place place(r.places[size_t(i)], r.basis[size_t(i)], R);
+        auto J = G.middleRows<2>(2 * i);
+        J = -jacobian(body, points, point, place);
+        noise.block<2, 2>(2 * i, 2 * i) = place.E.transpose() * points.noise(point) * place.E;
+        if (moves) continue;
+        const auto by_rig = J.middleCols<RIG_DIM>(RIG);
+        const double doubt = (by_rig * body.P.block<RIG_DIM, RIG_DIM>(RIG, RIG) * by_rig.transpose()).trace();
+        noise.diagonal().segment<2>(2 * i).array() += std::pow(std::min(doubt, MOST_DOUBT), 2);
+    }
+    Dense fixed(FIXED, old);  // the rows of P in the order of G
+    fixed << body.P.topRows<READOUT>(), body.P.row(body.readout_row());
+    const Dense GP = G * fixed;
+    Matrix<Dynamic, FIXED> own(2 * k, FIXED);
+    own << GP.leftCols<READOUT>(), GP.col(body.readout_row());
+    r.joint.topLeftCorner(n, n) = body.P.topLeftCorner(n, n);
+    r.joint.block(n, 0, 2 * k, n) = GP.leftCols(n);
+    r.joint.block(n, n, 2 * k, 2 * k) = own * G.transpose() + noise;
+    r.joint.bottomRows<CLONE>() << body.P.bottomLeftCorner(CLONE, n), GP.rightCols<CLONE>().transpose(),
+        body.P.bottomRightCorner<CLONE, CLONE>();
+    r.joint.triangularView<Eigen::StrictlyUpper>() = r.joint.transpose();
+    return r;
+}
+
+nb::tuple take_up_(nb::tuple body_, nb::tuple points_, nb::handle which_, bool moves) {
+    const Body body = read_body(body_);
+    const Points points = read_points(points_, body);
+    const Found r = take_up(body, points, read_indices(which_, "which", points.size()), moves);
+    return nb::make_tuple(r.places.array, r.basis.array, to_numpy(r.joint));
+}
+
+}  // namespace
+
+void bind_so3_map(nb::module_& m) {
+    m.def("take_up", &take_up_, arg("body"), arg("points"), arg("which"), arg("moves"));
+}
+
+}  // namespace spheremouse::ball
