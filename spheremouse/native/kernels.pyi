@@ -354,14 +354,16 @@ def correct(
     """
 
 RARE: float
+POINT_SIGMA: float
 
 def update_by_frame(
     body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity
 ) -> tuple[_Corrected, _Pairs, bool]:
-    """Return the state corrected by the nearest pairs of a frame, those pairs, and whether they are certain.
+    """Return the state corrected by the nearest pairs of a frame, those pairs, and whether each is certain.
 
-    Certain pairs are half of the possible ones or more, in their places, and no other pair is possible. Chance explains
-    none of them, and they turn the ball little. Errors are those of `correct`.
+    Two pairs or more are certain if chance explains none of them, and the frame is ordinary: half of the discs or more
+    are in their places, no other pair is possible, and the ball turns little. They are also certain if half of the
+    points pair, and the place of each disc is known so well that chance explains none. Errors are those of `correct`.
     """
 
 def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float]:

@@ -162,6 +162,9 @@ Pairs read_pairs(nb::handle rows, nb::handle columns, const Body& body, const Po
 /// Read `towards` and `horizon` of a camera.
 Viewer read_camera(nb::tuple camera);
 
+/// Return the variance, rad², of the predicted place of the disc k, on the worse axis.
+double place_variance(const Body& body, int k, const Noise& added);
+
 /// Return the discs that the camera sees.
 Indices visible(const Body& body, const Viewer& viewer);
 

@@ -47,7 +47,7 @@ _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow
 _NONE = np.zeros(0, dtype=np.intp)
 _RARE = kernels.RARE  # probability per frame below which chance does not explain the pairs
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
-_POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
+_POINT_SIGMA = kernels.POINT_SIGMA  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
 _KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
@@ -174,14 +174,6 @@ class So3Filter:
         sigma = self.place_sigma(predicted, self.visible(predicted))
         return bool(poisson_tail(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
 
-    def _each_is_significant(self, predicted: So3State, columns: NDArray[np.intp], points: int) -> bool:
-        """Return whether a point falls into the widest gate of the discs `columns` in under a thousandth of the frames.
-
-        Several discs are no evidence for one whose place is uncertain: a false point beside it turns the ball.
-        """
-        widest = self.place_sigma(predicted, columns).max(keepdims=True)
-        return self._expected_by_chance(widest, points) < _RARE
-
     def _expected_by_chance(self, sigma: Array, points: int) -> float:
         """Return how many of the points fall by chance into the gates of discs known to `sigma`, (k,) rad."""
         areas = self.settings.gate * np.pi * (sigma**2 + _POINT_SIGMA**2)
@@ -208,30 +200,22 @@ class So3Filter:
     ) -> So3State | None:
         """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
-        `may_start_landmark` is a mask (n,) of the points that may become discs. The pairs of an ordinary frame are
-        certain, as `kernels.update_by_frame` states it.
+        `may_start_landmark` is a mask (n,) of the points that may become discs. Pairs are certain if one of three
+        conditions holds:
+        - each pair alone is certain, as `kernels.update_by_frame` states it,
+        - chance does not explain so many pairs, three or more,
+        - two pairs fix the attitude, and chance does not explain the other pairs.
         """
         corrected, pairing, certain = self._corrected_by_frame(state, points)
-        if certain or self._are_certain(state, corrected, pairing, len(points)):
-            return self.keep_map(corrected, points, pairing, may_start_landmark)
-        return None
-
-    def _are_certain(self, predicted: So3State, corrected: So3State, pairing: Pairing, points: int) -> bool:
-        """Return whether two pairs or more are certain, since one of three conditions holds.
-
-        - The places of these discs are known well, and at least half of the points pair.
-        - Chance does not explain so many pairs, three or more.
-        - Two pairs fix the attitude, and chance does not explain the other pairs.
-        """
         pairs = len(pairing.rows)
-        if pairs >= 2 and 2 * pairs >= points and self._each_is_significant(predicted, pairing.columns, points):
-            return True
-        return pairs > 2 and (self.is_significant(predicted, pairs, points) or self._others_agree(corrected, points))
+        if not certain and pairs > 2:
+            certain = self.is_significant(state, pairs, len(points)) or self._others_agree(corrected, len(points))
+        return self.keep_map(corrected, points, pairing, may_start_landmark) if certain else None
 
     def _corrected_by_frame(self, state: So3State, points: SpherePoints) -> tuple[So3State, Pairing, bool]:
-        """Return the state corrected by the nearest pairs of a frame, the pairs, and whether they are certain.
+        """Return the state corrected by the nearest pairs of a frame, the pairs, and whether each is certain.
 
-        If doubtful pairs are not complete, the pairs that lie in their places only after the correction take part, too.
+        If pairs are not complete, those that lie in their places only after the correction take part, too.
         """
         camera, activity = (self.station.towards, self.station.horizon), activity_of(self.settings)
         given, pairs, certain = kernels.update_by_frame(
@@ -239,7 +223,7 @@ class So3Filter:
         )
         pairing = Pairing(*pairs)
         corrected = _with_twist(_corrected(state, given, pairing), pairing)
-        if certain or pairing.complete:
+        if pairing.complete:
             return corrected, pairing, certain
         again = self.nearest_pairs(corrected, points)
         if len(again.rows) <= len(pairing.rows):

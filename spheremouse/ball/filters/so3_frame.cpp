@@ -4,7 +4,8 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double RARE = 1e-3;  // probability per frame below which chance does not explain the pairs
+constexpr double RARE = 1e-3;         // probability per frame below which chance does not explain the pairs
+constexpr double POINT_SIGMA = 2e-3;  // rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 
 /// Return whether an unpaired point and an unpaired disc form a pair at the highest level.
 ///
@@ -25,13 +26,26 @@ bool pairs_by_chance(const Pairs& pairs, const Points& points, const Viewer& vie
 }
 
 /// Return whether pairs show half of the discs or more in their places, without another possible pair.
-bool are_certain(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
-                 const Pending& pending, const Activity& activity) {
+bool are_ordinary(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
+                  const Pending& pending, const Activity& activity) {
     const int k = int(pairs.rows.size());
-    if (!(pairs.plain && pairs.in_place && k >= 2 && 2 * k >= pairs.possible)) return false;
+    if (!(pairs.plain && pairs.in_place && 2 * k >= pairs.possible)) return false;
     if (pairs_by_chance(pairs, points, viewer, activity.gate)) return false;
     const double most = activity.squares().maxCoeff();
     return k == pairs.possible || !pairs_if_livelier(body, points, viewer, pairs, pending.added(most), activity.gate);
+}
+
+/// Return whether half of the points pair, and chance does not explain even the disc that is known least.
+///
+/// Several discs are no evidence for one whose place is uncertain: a false point beside it turns the ball.
+bool are_known_well(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
+                    const Pending& pending, const Activity& activity) {
+    if (2 * int(pairs.rows.size()) < points.size()) return false;
+    const Noise added = pending.added(pending.weights.dot(activity.squares()));
+    double widest = 0.0;
+    for (int k : pairs.columns) widest = std::max(widest, place_variance(body, k, added));
+    const double gate = activity.gate * (widest + POINT_SIGMA * POINT_SIGMA);
+    return points.size() * gate < 2.0 * RARE * (1.0 - viewer.horizon);
 }
 
 nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,
@@ -48,10 +62,12 @@ nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, 
     {
         nb::gil_scoped_release release;
         pairs = expected_pairs(body, points, viewer, pending, activity);
-        certain = are_certain(body, points, viewer, pairs, pending, activity);
+        certain = are_ordinary(body, points, viewer, pairs, pending, activity);
         if (!certain) pairs = likeliest_pairs(std::move(pairs), body, points, viewer, pending, activity);
         std::tie(r, moved) = correct_by_pairs(body, points, pairs, pending, activity);
-        certain = certain && log(Matrix<3>(moved.attitude * body.attitude.transpose())).norm() < LINEAR;
+        const bool is_small = log(Matrix<3>(moved.attitude * body.attitude.transpose())).norm() < LINEAR;
+        certain = (certain && is_small) || are_known_well(body, points, viewer, pairs, pending, activity);
+        certain = certain && pairs.rows.size() >= 2;
     }
     return nb::make_tuple(corrected_to_numpy(moved, r), pairs_to_numpy(pairs), certain);
 }
@@ -60,6 +76,7 @@ nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, 
 
 void bind_so3_frame(nb::module_& m) {
     m.attr("RARE") = RARE;
+    m.attr("POINT_SIGMA") = POINT_SIGMA;
     m.def("update_by_frame", &update_by_frame, arg("body"), arg("points"), arg("camera"), arg("pending"),
           arg("activity"));
 }

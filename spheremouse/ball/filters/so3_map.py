@@ -32,7 +32,7 @@ def with_candidates(
     """Take up the points `index`, (k,), on a ball of `radius` m as candidates with `numbers`, (k,)."""
     if len(index) == 0:
         return state
-    measurement, moves = points.measurement(radius), state.centre_noise > 0.0
+    measurement, moves = points.measurement(radius), bool(state.centre_noise > 0.0)
     places, basis, joint = kernels.take_up(state.body, measurement, index, moves)
     return replace(
         state,

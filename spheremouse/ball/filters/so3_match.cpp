@@ -209,6 +209,11 @@ Viewer read_camera(nb::tuple camera) {
     return {vector<3>(camera[0], "towards"), number<double>(camera[1], "camera"), Matrix<3>::Zero()};
 }
 
+double place_variance(const Body& body, int k, const Noise& added) {
+    const Matrix<2> S = place_covariance(body, Place(body, k, 0.0).H, k, added);
+    return std::max(0.5 * S.trace() + std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1)), 0.0);
+}
+
 Indices visible(const Body& body, const Viewer& viewer) {
     const Vector<3> to_camera = body.attitude.transpose() * viewer.towards;
     Indices which;
@@ -355,11 +360,7 @@ NewArray<double> place_sigma(nb::tuple body_, nb::handle which_, nb::handle adde
     const Noise added = matrix<CORE, CORE>(added_, "added");
     const Indices which = read_indices(which_, "which", body.size());
     auto sigma = zeros<double>({which.size()});
-    for (size_t i = 0; i < which.size(); i++) {
-        const Matrix<2> S = place_covariance(body, Place(body, which[i], 0.0).H, which[i], added);
-        const double half = std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1));
-        sigma.data()[i] = std::sqrt(std::max(0.5 * S.trace() + half, 0.0));
-    }
+    for (size_t i = 0; i < which.size(); i++) sigma.data()[i] = std::sqrt(place_variance(body, which[i], added));
     return sigma;
 }
 
