@@ -32,6 +32,7 @@ from spheremouse.ball.state import (
 )
 from spheremouse.ball.texture.picture import (
     DETAIL,
+    SHADING,
     SHOWS,
     STATIC_ODDS,
     Alignment,
@@ -150,14 +151,17 @@ def _details(now: TextureState) -> int:
 def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: float) -> bool:
     """Return whether most parts of the ball in view have turned since the first frame. A hand is in fewer.
 
-    One sample of a faint pattern is no evidence, but all samples of a part are.
+    One sample of a faint pattern is no evidence, but all samples of a part are. The first frame has more noise than the
+    picture, a mean of frames. So its contrast counts by the share that is no noise: else noise would turn.
     """
-    seen = level.seen._replace(mean=np.nan_to_num(level.seen.first), odds=np.zeros_like(level.seen.odds))
+    first, part = np.nan_to_num(level.seen.first), np.argmax(view.anchors.astype(np.float32) @ view.direction, axis=0)
+    power = np.bincount(part, first * first) / np.maximum(np.bincount(part), 1)
+    pattern = np.maximum(1.0 - (noise**2 - SHADING**2) / np.maximum(power, 1e-12), 0.0)  # Wiener's filter
+    seen = level.seen._replace(mean=(pattern[part] * first).astype(np.float32), odds=np.zeros_like(level.seen.odds))
     nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
     counts = seen.counts > STATIC_ODDS
-    part = np.argmax(view.anchors.astype(np.float32) @ view.direction[:, counts], axis=0)
-    number = np.bincount(part)
-    total = np.bincount(part, nats[counts]) / DETAIL
+    number = np.bincount(part[counts], minlength=len(power))
+    total = np.bincount(part[counts], nats[counts], minlength=len(power)) / DETAIL
     return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _SEEN))
 
 

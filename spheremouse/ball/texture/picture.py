@@ -27,7 +27,7 @@ Tiles = NDArray[np.int64]
 Samples = tuple[Floats, Floats, Floats, Floats]  # contrast, direction, log odds and offset, for `kernels`
 
 STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
-_NOISE = 0.01  # of a contrast, without image noise: shading
+SHADING = 0.01  # standard deviation of a contrast without image noise
 TILE = kernels.TILE  # cells along the edge of a tile
 LEAST_WEIGHT = kernels.LEAST_WEIGHT  # of a known cell: one oblique view
 HALF = 1.1  # half the width of a face, as `picture.h` has it
@@ -326,7 +326,7 @@ def grain_of(resampling: Resampling, image: Image) -> float:
 
 def contrast_noise(grain: float, light: float) -> float:
     """Return the standard deviation of a contrast, by that of grey values over their mean."""
-    return float(np.hypot(_NOISE, grain / max(light, 1.0)))
+    return float(np.hypot(SHADING, grain / max(light, 1.0)))
 
 
 def plain_share(view: TextureView, contrast: Floats, noise: float) -> float:

@@ -141,15 +141,17 @@ def test_a_ball_that_never_turns_sends_nothing_whatever_the_noise(film):
         assert not any(np.any(s.estimate.increment) for s in steps)
 
 
-def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film):
-    """It covers a third of the ball, and moves by the ball's radius."""
+@pytest.mark.parametrize(("pattern", "size"), [("speckle", 0.2), ("none", 0.2), ("dirt", 0.2)])
+def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film, pattern, size):
+    """It covers a third of the ball, and moves by the radius. The noise of a plain ball is no pattern that turns."""
     made, tracker = film
-    still = made[0].frame.image
+    plain = prepare(SimulationOptions(pattern=pattern, motion="still", seconds=DT, size=(320, 240), seed=7))
+    still = made[0].frame.image if pattern == "speckle" else next(simulate(plain)).frame.image
     height, width = still.shape[:2]
     rng = np.random.default_rng(2)
     sleeve = 110.0 + 60.0 * np.sign(cv2.GaussianBlur(rng.normal(size=(height, 3 * width)), (0, 0), 3.0))
     v, u = np.mgrid[:height, :width]
-    covered = np.hypot(u - 0.5 * width, v - 0.5 * height) < 0.2 * height
+    covered = np.hypot(u - 0.5 * width, v - 0.5 * height) < size * height
     images = []
     for k in range(90):
         at = width + round(0.5 * max(k - 15, 0))
