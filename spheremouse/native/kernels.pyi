@@ -260,11 +260,12 @@ def fit_discs(
     """
 
 def measure_places(
-    image: _Byte, places: _Float, model: tuple[object, ...], noise: float, usual: float
+    image: _Byte, places: _Float, model: tuple[object, ...], noise: float, usual: float, size: float
 ) -> tuple[_Float, _Float, _Float]:
     """Return centres, covariances and areas of the discs at dark spots, (n, 2) px, of an image (h, w, c).
 
-    `model` is a `windows.DiscModel`, `noise` is that of a pixel, and `usual` is the contrast of a disc, or 0.
+    `model` is a `windows.DiscModel`, and `noise` is that of a pixel. `usual` is the contrast of a disc, or 0. `size` is
+    the fitted over the expected one, or 0.
     """
 
 # spheremouse/ball/detect/search.cpp

@@ -103,9 +103,9 @@ struct Measured {
 std::vector<Measured> measure(const Photo& photo, const Directions& directions, const DiscModel& model,
                               const Motion& motion, Common& common);
 
-/// Measure the discs at dark spots of a ball at rest, the best ones first. `usual` is their usual contrast, or 0.
+/// Measure the discs at dark spots of a ball at rest, the best ones first. `common` has their usual size and contrast.
 std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
-                                     double usual);
+                                     Common common);
 
 /// Return the columns of `detections.Detections`, and `more`.
 template <class... T>

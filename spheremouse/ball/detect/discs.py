@@ -52,6 +52,7 @@ _MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a
 _MIN_SIGMA_FRACTION = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
 _MIN_GAIN_OVER_GREY = 1.4  # of signal over noise, squared, for Fisher's weights; they have 1.34 times grey's on white
 _MIN_INFORMATION = 0.02  # discs: stains give less information
+_NOTHING_LEARNT = SearchState()
 _NO_DISCS = np.zeros((0, 3))
 
 
@@ -132,10 +133,11 @@ class DiscDetector:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
 
-    def detect(self, image: Image, usual: float = 0.0) -> Detections:
+    def detect(self, image: Image, learnt: SearchState = _NOTHING_LEARNT) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included.
 
-        `usual` is the contrast of a disc, as `SearchState` has it: a spot with less than half of it is no disc.
+        `learnt` has the contrast and the size of the discs, if they are known. A spot with less than half of that
+        contrast is no disc. With a known size the detector finds discs that a cover hides by half.
         """
         noise = self.noise(image)
         offset = offset_of(self.model.fit.projection, 1 if image.ndim == 2 else 3)
@@ -148,16 +150,19 @@ class DiscDetector:
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[suppress(places[index[best]], np.full(len(best), 0.3 * self.model.diameter))]
         found = Detections(
-            *kernels.measure_places(_with_channels(image), places[index[best]], self.model, noise, usual)
+            *kernels.measure_places(
+                _with_channels(image), places[index[best]], self.model, noise, learnt.contrast, learnt.size
+            )
         )
-        return self._with_slivers(found, image, usual) if self.lattice.reduction > 1 else found
+        return self._with_slivers(found, image, learnt) if self.lattice.reduction > 1 else found
 
-    def _with_slivers(self, found: Detections, image: Image, usual: float) -> Detections:
+    def _with_slivers(self, found: Detections, image: Image, learnt: SearchState) -> Detections:
         """Return `found` and the discs near the limb, which are too thin for the coarse image.
 
         The search tries each place at most once. It ends when a round of all shifts finds no new place.
         """
-        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(contrast=usual), 0
+        near_limb, idle = replace(self, lattice=self.slivers), 0
+        state = SearchState(contrast=learnt.contrast)
         shifts = len(self.slivers.samples)
         while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
             more, after = near_limb.follow(image, state, known=found.centre)

@@ -203,7 +203,7 @@ std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model,
     const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
                         lattice.reduction};
     const Points places = find(Plane(photo), lattice, limits, search, known);
-    const std::vector<Measured> found = measure_places(photo, places, model, search.discs.contrast);
+    const std::vector<Measured> found = measure_places(photo, places, model, {0.0, search.discs.contrast});
     Points rejected;
     for (const Vector<2>& place : places)
         if (std::none_of(found.begin(), found.end(),

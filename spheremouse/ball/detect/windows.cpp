@@ -80,7 +80,8 @@ std::vector<Measured> best_of(const std::vector<Disc>& discs, double apart) {
     return kept;
 }
 
-nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model_, double noise, double usual) {
+nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model_, double noise, double usual,
+                          double size) {
     const auto [model, photo] = read_model(model_, image, noise);
     const auto given = matrix<Dynamic, 2>(places_, "places");
     std::vector<Vector<2>> places(size_t(given.rows()));
@@ -88,7 +89,7 @@ nb::tuple measure_places_(nb::handle image, nb::handle places_, nb::handle model
     std::vector<Measured> found;
     {
         nb::gil_scoped_release release;
-        found = measure_places(photo, places, model, usual);
+        found = measure_places(photo, places, model, {size, usual});
     }
     return to_numpy(found);
 }
@@ -110,17 +111,20 @@ bool expect_at_fit(const Photo& photo, const DiscModel& model, const Vector<3>& 
 /// Fit discs; those that are far from their expected places are fitted again, with the shapes that they have there.
 ///
 /// A push takes discs farther than the steps of one fit, and so does a start at the middle of what a cover leaves. A
-/// fit that ends far from its place again and again slides along an edge.
+/// fit that ends far from its place again and again slides along an edge. With `any_start`, a start may be so wrong
+/// that the first fit is no disc.
 std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
-                              std::vector<Disc>& discs, std::vector<Expected>& expected, Common& common) {
+                              bool any_start, std::vector<Disc>& discs, std::vector<Expected>& expected,
+                              Common& common) {
     const Common before = common;
     std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
     for (int round = 0;; round++) {
         bool any_far = false;
         for (size_t i = 0; i < discs.size(); i++) {
-            if (!(fits[i].ok && (fits[i].centroid - expected[i].place).norm() > FAR)) continue;
-            fits[i].ok = round < MOST_AGAIN && expect_at_fit(photo, model, rate, fits[i], discs[i], expected[i]);
-            any_far |= fits[i].ok;
+            const bool counts = fits[i].ok || (any_start && fits[i].rim > 0.0);
+            if (!(counts && (fits[i].centroid - expected[i].place).norm() > FAR)) continue;
+            fits[i].ok = false;
+            any_far |= round < MOST_AGAIN && expect_at_fit(photo, model, rate, fits[i], discs[i], expected[i]);
         }
         if (!any_far) return fits;
         common = before;
@@ -169,12 +173,12 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
         places.push_back(seen.centroid);
     }
     const double contrast = EXPECTED * std::max(model.fit.contrast, common.contrast);
-    const std::vector<Fit> fits = fit_in_place(photo, model, motion.rate, contrast, discs, expected, common);
+    const std::vector<Fit> fits = fit_in_place(photo, model, motion.rate, contrast, false, discs, expected, common);
     return at_centres(discs, fits, places, model);
 }
 
 std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
-                                     double usual) {
+                                     Common common) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
     std::vector<Vector<2>> starts;
@@ -187,14 +191,16 @@ std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vecto
         expected.push_back({place, seen.shape, Vector<7>::Zero()});
         starts.push_back(place);
     }
-    Common common{0.0, usual};
-    const double contrast = std::max(model.fit.contrast, UNEXPECTED * usual);
-    const std::vector<Fit> fits = fit_in_place(photo, model, Vector<3>::Zero(), contrast, discs, expected, common);
+    const double contrast = std::max(model.fit.contrast, UNEXPECTED * common.contrast);
+    const bool any_start = common.size > 0.0;  // else the size separates discs from other dark spots
+    const std::vector<Fit> fits =
+        fit_in_place(photo, model, Vector<3>::Zero(), contrast, any_start, discs, expected, common);
     return at_centres(discs, fits, starts, model);
 }
 
 void bind_windows(nb::module_& m) {
-    m.def("measure_places", &measure_places_, arg("image"), arg("places"), arg("model"), arg("noise"), arg("usual"));
+    m.def("measure_places", &measure_places_, arg("image"), arg("places"), arg("model"), arg("noise"), arg("usual"),
+          arg("size"));
 }
 
 }  // namespace spheremouse::ball

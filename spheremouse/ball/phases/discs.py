@@ -92,7 +92,7 @@ def detect_discs(
     if not (tracking and state.known_to_turn):  # bolts, or another ball
         before = before._replace(size=0.0, contrast=0.0)
     if not tracking or not state.follows:
-        return detector.detect(frame.image, before.contrast), before
+        return detector.detect(frame.image, before), before
     # Discs of the map, and candidates
     known = np.concatenate([predicted.discs[which], state.lookalikes.candidates.anchor_ball])
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
@@ -103,5 +103,5 @@ def detect_discs(
         frame.image, before, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
     )
     if len(found) < least:
-        found = found.joined_apart(detector.detect(frame.image, search.contrast), 0.5 * detector.model.diameter)
+        found = found.joined_apart(detector.detect(frame.image, search), 0.5 * detector.model.diameter)
     return found, search

@@ -143,7 +143,7 @@ def test_a_search_is_that_of_the_twin(projection):
             plane = np.floor(colours @ np.array(projection.weights) + 0.5).astype(int)
         more = samples, DETECTOR.lattice.offsets, limits, turn, known, active
         places = twins.candidate_pixels(plane, model.mask, *more)
-        found = Detections(*kernels.measure_places(colours, places, model, 1.0, 0.0))
+        found = Detections(*kernels.measure_places(colours, places, model, 1.0, 0.0, 0.0))
         missed = np.linalg.norm(places[:, None] - found.centre[None], axis=2).min(axis=1, initial=np.inf) > limits[2]
         after = twins.next_turn(search, places[missed], 1)
         arguments = np.zeros((0, 3)), model, DETECTOR.lattice.of_turn(turn), search, AT_REST, known, 0
@@ -183,10 +183,10 @@ def test_noise_is_the_median_of_second_differences():
 def test_a_wrong_argument_is_named():
     model, image, places = DETECTOR.model, np.zeros((480, 640, 3), np.uint8), NOWHERE
     for arguments, name in [
-        ((image.astype(float), places, model, 1.0, 0.0), "image"),
-        ((image[:, ::2], places, model, 1.0, 0.0), "image"),
-        ((image[:400], places, model, 1.0, 0.0), "mask"),
-        ((image, DISCS, model, 1.0, 0.0), "places"),
+        ((image.astype(float), places, model, 1.0, 0.0, 0.0), "image"),
+        ((image[:, ::2], places, model, 1.0, 0.0, 0.0), "image"),
+        ((image[:400], places, model, 1.0, 0.0, 0.0), "mask"),
+        ((image, DISCS, model, 1.0, 0.0, 0.0), "places"),
     ]:
         with pytest.raises(TypeError, match=name):
             kernels.measure_places(*arguments)
@@ -211,7 +211,7 @@ def test_numbers_out_of_range_are_no_discs():
     directions = np.stack([wild, np.roll(wild, 1), np.roll(wild, 2)], axis=1)
     search = DETECTOR.lattice.of_turn(0), SearchState(0, 1.0), Motion(wild[:3], 1.0), NOWHERE, 1
     assert len(kernels.follow_discs(image, directions, DETECTOR.model, *search)[0]) == 0
-    assert len(kernels.measure_places(image, directions[:, :2].copy(), DETECTOR.model, 1.0, 0.0)[0]) == 0
+    assert len(kernels.measure_places(image, directions[:, :2].copy(), DETECTOR.model, 1.0, 0.0, 0.0)[0]) == 0
     expected = np.stack([wild, wild], axis=1), np.repeat(wild, 4).reshape(-1, 2, 2), np.repeat(wild, 7).reshape(-1, 7)
     ok = kernels.fit_discs(image, DETECTOR.model.mask, expected, 1.0, SETTINGS, 0.25, 0.0)[0]
     assert_array_equal(ok, False)

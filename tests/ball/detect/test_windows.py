@@ -106,7 +106,7 @@ def test_a_pale_spot_is_no_disc_once_dark_ones_have_shown_their_contrast():
     assert len(match(DETECTOR.detect(image), TRUTH, 0.5)) == len(DISCS)
     _, learnt = DETECTOR.follow(image, SearchState(), dark)
     assert abs(learnt.contrast - (1.0 - INK / BALL)) < 0.05
-    seen = match(DETECTOR.detect(image, learnt.contrast), TRUTH, 0.5)
+    seen = match(DETECTOR.detect(image, learnt), TRUTH, 0.5)
     assert sorted(seen[:, 1]) == list(range(3, len(DISCS)))
     after = DETECTOR.follow(image, learnt, dark)[1]
     for _ in range(4):
@@ -221,6 +221,23 @@ def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
         assert len(nis) == 0 or np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
     assert kept[0.9] == 0
     assert kept[0.7] > 0 or level < 10.0
+
+
+@pytest.mark.parametrize("level", [110.0, BALL])
+def test_a_disc_behind_a_strut_by_half_is_found_once_the_size_of_discs_is_known(level):
+    """The search begins at the middle of the part that shows."""
+    cut, found, nis = np.arange(0, len(TRUTH), 3), np.zeros(2, dtype=int), []
+    _, learnt = DETECTOR.follow(photo(CLEAN, 1.0), SearchState(), DISCS)
+    for turn in range(4):
+        image = photo(behind_a_strut(cut, level, 0.5, turn), 2.0, turn)
+        for known, state in enumerate((learnt._replace(size=0.0), learnt)):
+            seen = DETECTOR.detect(image, state)
+            i, j = match(seen, TRUTH[cut], 1.5).T
+            found[known] += len(i)
+            e = seen.centre[i] - TRUTH[cut][j]
+            nis += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+    assert found[1] > max(found[0], 0.7 * 4 * len(cut))
+    assert np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0])
