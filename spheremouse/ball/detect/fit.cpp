@@ -26,7 +26,6 @@ constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur sh
 constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
 constexpr double MISFIT = 16.0;        // px²: error times semi-minor axis, per part of the rim that does not fit
 constexpr double SHOWN = 0.15;         // least part of the rim beside a cover: an arc of 54 degrees
-constexpr double SMEARED = 2.0;        // px: a longer way lightens a part of a disc as a cover does
 constexpr double OTHER_SIZE = 3.0;     // standard deviations of the size, beyond which it is something else
 constexpr double NEAR_COVER = 0.02;    // part of the surround that is foreign: a cover is beside the disc
 constexpr double CLEAR_SIGMA = 0.1;    // px, of a disc without a cover
@@ -59,7 +58,7 @@ struct DiscFit {
     Matrix<UNKNOWNS> L;  // triangle of the last normal matrix
     bool plausible = false;
 
-    bool is_smeared() const { return disc.path.head<2>().norm() > SMEARED; }
+    bool is_smeared() const { return disc.is_smeared(); }
 
     /// Return the part of the size by which blur and gloss may shift the rim.
     double rim_sigma() const { return RIM_OFFSET / 3.0 / minor; }

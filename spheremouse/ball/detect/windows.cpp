@@ -112,7 +112,7 @@ bool expect_at_fit(const Photo& photo, const DiscModel& model, const Vector<3>& 
 ///
 /// A push takes discs farther than the steps of one fit, and so does a start at the middle of what a cover leaves. A
 /// fit that ends far from its place again and again slides along an edge. With `any_start`, a start may be so wrong
-/// that the first fit is no disc.
+/// that the first fit is no disc. A smeared disc that is far from its place has another way, too, and has one fit.
 std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
                               bool any_start, std::vector<Disc>& discs, std::vector<Expected>& expected,
                               Common& common) {
@@ -122,7 +122,7 @@ std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const 
         bool any_far = false;
         for (size_t i = 0; i < discs.size(); i++) {
             const bool counts = fits[i].ok || (any_start && fits[i].rim > 0.0);
-            if (!(counts && (fits[i].centroid - expected[i].place).norm() > FAR)) continue;
+            if (!(counts && !expected[i].is_smeared() && (fits[i].centroid - expected[i].place).norm() > FAR)) continue;
             fits[i].ok = false;
             any_far |= round < MOST_AGAIN && expect_at_fit(photo, model, rate, fits[i], discs[i], expected[i]);
         }
