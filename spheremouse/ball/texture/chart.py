@@ -65,7 +65,7 @@ class Resampling(NamedTuple):
     width: int  # px, of the mean that stands for a pixel of the chart
     # Of each pixel of the chart: its place in the window, as `resample_chart` takes it
     at: tuple[NDArray[np.int32], NDArray[np.uint16]]
-    inside: Image  # (size, size) 255 on the ball, 0 elsewhere, of the chart
+    inside: Image  # (size, size) of the chart, 255 on the ball and in the image, 0 elsewhere
 
     def __call__(self, image: Image) -> Image:
         """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size); 0 beside the ball."""
@@ -104,7 +104,9 @@ def resampling(chart: Chart, rig: Rig, pose: Pose, width: int) -> Resampling:
     (column, row), (right, down) = (place // kernels.PARTS).T, (place % kernels.PARTS).T
     at, part = row * (last[0] + 1 - first[0]) + column, down * kernels.PARTS + right
     kept = np.ascontiguousarray(at.T, np.int32), np.ascontiguousarray(part.T, np.uint16)
-    return Resampling(window, width, kept, 255 * chart.inside.astype(np.uint8))
+    reach = width // 2
+    in_image = ((uv >= reach) & (uv <= size - 1 - reach)).all(axis=2)  # the others would show the edge again and again
+    return Resampling(window, width, kept, 255 * (chart.inside & in_image).astype(np.uint8))
 
 
 def _seen_by_a_mean(directions: Array, rig: Rig, pose: Pose, width: int) -> Array:

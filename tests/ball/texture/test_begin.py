@@ -163,6 +163,17 @@ def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film, pattern, siz
     assert all(not s.estimate.increment.any() for s in steps)
 
 
+def test_a_ball_half_outside_the_picture_is_followed_by_the_other_half(film):
+    made, tracker = film
+    width = made[0].frame.image.shape[1] // 2
+    rig = replace(tracker.rig, camera=replace(tracker.rig.camera, width=width))
+    steps = follow([np.ascontiguousarray(m.frame.image[:, :width]) for m in made], build(rig, tracker.pose, Settings()))
+    which = [k for k, s in enumerate(steps) if s.estimate.confirmed and s.state.status is Status.TRACKING]
+    assert len(which) > 20
+    first = which[0]
+    assert max(error(steps[k], made[k].attitude, steps[first], made[first].attitude) for k in which) < 0.6
+
+
 def test_a_picture_in_grey_is_worth_one_in_colour(film):
     made, tracker = film
     steps = [follow([m.frame.image for m in made[:30]], tracker)]
