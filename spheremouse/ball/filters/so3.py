@@ -23,6 +23,7 @@ from spheremouse.ball.filters.so3_motion import (
 )
 from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import (
+    PERSISTENCE_S,
     So3Settings,
     activity_of,
     squared_levels,
@@ -253,12 +254,14 @@ class So3Filter:
     ) -> tuple[Array, NDArray[np.intp]]:
         """Return squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and those.
 
-        They are exact below `gate`. `widest`: with the process noise of the liveliest level.
+        They are exact below `gate`. `widest`: with the noise of a step at the liveliest level, at any instant since the
+        last frame. The process noise is the mean over all intervals, and few of them have a step.
         """
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
         cosine = state.discs @ (self.station.towards @ state.attitude)
         which = np.flatnonzero(cosine > self.station.horizon - np.minimum(slack, 0.5))
-        added = self._added_noise(state, max(squared_levels(self.settings.levels)) if widest else 1.0)
+        steps = max(0.5 * PERSISTENCE_S / max(state.interval, 1e-3), 1.0)  # noise of one over the mean
+        added = self._added_noise(state, steps * max(squared_levels(self.settings.levels)) if widest else 1.0)
         allowance = _omitted_variance(state, added)
         return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
 
