@@ -40,7 +40,6 @@ _MOST_SAMPLES = 16000
 _VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _DOUBLE = 2.0  # views of a tile, after which it is learnt half as often
 _SELDOM = 3  # times that this halves
-_MOST_TILES = 800  # of a turn: a third of those in view
 _SAME, SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
 _APART = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
 DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
@@ -272,16 +271,13 @@ def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
 def tiles_to_learn(view: TextureView, picture: Picture, attitude: Array, turn: int) -> Tiles:
     """Return the tiles, (k,), in view that a turn learns.
 
-    The more often one was seen, the less it gains. If these are more than `_MOST_TILES`, some of the known ones wait
-    for later turns. Known tiles learn band by band, since the picture copies each band that changes.
+    The more often one was seen, the less it gains. They learn band by band, since the picture copies each band that
+    changes.
     """
     which = tiles_in_view(view, attitude)
-    known = picture.known.ravel()[which]
-    every = 1 << np.minimum(known / _DOUBLE, _SELDOM).astype(int)
-    new, band = known < LEAST_WEIGHT, which * TILE // (view.cells // TILE * kernels.BAND)
-    room = max(_MOST_TILES - np.count_nonzero(new), _MOST_TILES // 4)
-    turns = int(np.ceil(np.sum(1.0 / every[~new]) / room))
-    return which[new | ((band - turn) % (every * max(turns, 1)) == 0)]
+    every = 1 << np.minimum(picture.known.ravel()[which] / _DOUBLE, _SELDOM).astype(int)
+    band = which * TILE // (view.cells // TILE * kernels.BAND)
+    return which[(band - turn) % every == 0]
 
 
 def learn(view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles) -> Picture:
