@@ -12,8 +12,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from spheremouse.ball.texture.picture import COARSEST, FINEST, TILE, Picture, picture_of_cells
-from spheremouse.ball.texture.picture_map import PictureMap
+from spheremouse.ball.texture.picture import COARSEST, FINEST, TILE, Picture
+from spheremouse.ball.texture.picture_map import PictureMap, with_known
 from spheremouse.files.disc_map import LandmarksFile, landmark_lines, landmark_problems, landmarks
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import Document, Problem, without_schema
@@ -45,7 +45,7 @@ def lines(header: list[str], made: PictureMap) -> list[str]:
         f"noise: {float(made.noise)!r}  # standard deviation of a contrast in one view",
         f"correlation: {float(made.correlation)!r}  # usual one of a frame with the picture",
         f"details: {float(made.details)!r}  # usual part of a frame that shows one",
-        f"cells: [{made.fine.cells}, {made.coarse.cells}]  # along a face, fine and coarse",
+        f"cells: [{made.fine.value.shape[1]}, {made.coarse.value.shape[1]}]  # along a face, fine and coarse",
         *landmark_lines(made.parts),
         "picture: |",
         *(f"  {block[k : k + _MAX_LINE_CHARACTERS]}" for k in range(0, len(block), _MAX_LINE_CHARACTERS)),
@@ -65,10 +65,9 @@ def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap
 
 def _packed(picture: Picture) -> bytes:
     """Return a picture as bytes that compress well: values by high and low bytes, then weights."""
-    views = picture.weight
-    known = views > 0.5 * _WEIGHT
+    known = picture.weight > 0.5 * _WEIGHT
     value = np.where(known, np.clip(np.rint(picture.value / _VALUE), -32768, 32767), 0).astype("<i2")
-    weight = np.clip(np.rint(views / _WEIGHT), 0, 255).astype(np.uint8)
+    weight = np.clip(np.rint(picture.weight / _WEIGHT), 0, 255).astype(np.uint8)
     return value.reshape(-1).view(np.uint8).reshape(-1, 2).T.tobytes() + weight.tobytes()
 
 
@@ -87,6 +86,6 @@ def _unpacked(block: bytes, cells: tuple[int, int]) -> tuple[Picture, Picture] |
         low_high = np.frombuffer(data, np.uint8, 2 * count, at).reshape(2, count)
         value = np.ascontiguousarray(low_high.T).view("<i2").reshape(6, n, n) * _VALUE
         weight = np.frombuffer(data, np.uint8, count, at + 2 * count).reshape(6, n, n) * _WEIGHT
-        found.append(picture_of_cells(value, weight))
+        found.append(with_known(value, weight))
         at += 3 * count
     return found[0], found[1]

@@ -76,13 +76,13 @@ class Hypotheses:
         smallest rotation wins. Without hypotheses the result is the identity and 0.
         """
 
-# spheremouse/ball/texture/align.cpp and learn.cpp. A picture has the contrast of each cell and its weight, in bands of
-# `BAND` rows of each face, (2, rows, n); the last one of a face may have fewer rows. The samples are contrast (k,),
-# direction (3, k) obj, log odds to turn with the ball (k,), and contrast of light that stands still (k,).
+# spheremouse/ball/texture/align.cpp and learn.cpp. A picture has the contrast of each cell, (6, n, n), and its weight.
+# The samples are contrast (k,), direction (3, k) obj, log odds to turn with the ball (k,), and contrast of light that
+# stands still (k,).
 
 _Narrow = NDArray[np.float32]
 _Samples = tuple[_Narrow, _Narrow, _Narrow, _Narrow]
-_Picture = tuple[_Narrow, ...]
+_Picture = tuple[_Narrow, _Narrow]
 
 def align_texture(
     samples: _Samples, picture: _Picture, R: _Float, noise: float, place: float, pixel: float,
@@ -98,18 +98,17 @@ def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, m
     """Return the correlation, (k,), of picture and the `most` strongest samples at attitudes, (k, 3, 3)."""
 
 TILE: int
-BAND: int
 LEAST_WEIGHT: float
 STATIC_ODDS: float
 FACING: float  # cosine between ray and normal from which a place is learnt
 
 def learn_texture(
-    seen: tuple[_Narrow, NDArray[np.int32], _Narrow, _Narrow, int], bands: _Picture, known: _Narrow,
+    seen: tuple[_Narrow, NDArray[np.int32], _Narrow, _Narrow, int], picture: tuple[_Narrow, _Narrow, _Narrow],
     tiles: _Index, chart: tuple[_Float, float, int, float], R: _Float, most: float, forget: bool,
-) -> tuple[_Picture, _Narrow]:  # fmt: skip
-    """Return bands and mean weights of a picture after it has learnt some `tiles`, (j,), of a frame at R, (3, 3).
+) -> None:  # fmt: skip
+    """Learn some `tiles`, (j,), of a frame at R, (3, 3), in place.
 
-    `known` has the mean weight of each tile, (6, n / 8, n / 8). Bands without these tiles stay the same arrays.
+    `picture` also has the mean weight of each tile, (6, n / 8, n / 8).
     `seen` has the contrast on the chart, (h, w), the number of the sample at every few pixels or -1, (r, c), log odds
     and contrast of light of the samples, and their distance in px. `chart` has the members of `Chart`. A cell is the
     mean of up to `most` views. With `forget` the cells are forgotten that show what stands still.
@@ -157,9 +156,6 @@ def resample_chart(image: _Byte, at: NDArray[np.int32], part: NDArray[np.uint16]
     `at` is the index of the first of the four. `part` counts parts of the way, `PARTS` times those to the next row and
     those to the next column.
     """
-
-def reduce_chart(chart: _Byte, inside: _Byte) -> _Byte:
-    """Return the means of squares of a chart, in the shape of `inside`, and 0 where that is not 255."""
 
 def contrast_on_chart(light: _Byte, inside: _Byte, far: _Narrow, reach: int) -> _Narrow:
     """Return the contrast in each row, from its first pixel `inside` to its last one, else 0.

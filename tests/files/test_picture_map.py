@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.texture.picture import anchor_directions, picture_of_cells
-from spheremouse.ball.texture.picture_map import PictureMap
+from spheremouse.ball.texture.picture import anchor_directions
+from spheremouse.ball.texture.picture_map import PictureMap, with_known
 from spheremouse.files.ball_map import SavedMap, load_map, map_text, save_map
 
 WHEN = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
@@ -18,9 +18,7 @@ REMEDY = "; mend that, or move the file away: a new map is made as the ball turn
 def saved_map(seed=0, cells=(64, 32)):
     rng = np.random.default_rng(seed)
     pictures = [
-        picture_of_cells(
-            rng.normal(0.0, 0.2, (6, n, n)), rng.uniform(0.1, 20, (6, n, n)) * (rng.random((6, n, n)) < 0.8)
-        )
+        with_known(rng.normal(0.0, 0.2, (6, n, n)), rng.uniform(0.1, 20, (6, n, n)) * (rng.random((6, n, n)) < 0.8))
         for n in cells
     ]
     anchors = anchor_directions()[:18]
@@ -46,8 +44,7 @@ def test_a_saved_picture_reads_back_the_same(tmp_path, seed):
         np.testing.assert_allclose(b.value[known], a.value[known], rtol=0, atol=0.51 / 1024)
         np.testing.assert_allclose(b.weight, a.weight, rtol=0, atol=0.51 / 8)
         np.testing.assert_array_equal(b.weight > 0.0, known)
-        for part in (*b.bands, b.known):
-            assert (part.dtype, part.flags.writeable, part.flags.c_contiguous) == (np.float32, True, True)
+        assert all(part.dtype == np.float32 and part.flags.writeable and part.flags.c_contiguous for part in b)
     np.testing.assert_allclose(after.map.parts.directions, before.map.parts.directions, atol=2e-9)
     np.testing.assert_array_equal(after.map.parts.sightings, before.map.parts.sightings)
     assert map_text(after).splitlines()[:9] == map_text(before).splitlines()[:9]

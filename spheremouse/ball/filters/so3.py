@@ -436,7 +436,7 @@ def relocate(
 
 
 def _corrected(state: So3State, given: tuple[Any, ...], pairing: Pairing) -> So3State:
-    """Return the state with what `kernels` has corrected by pairs."""
+    """Return the state with the fields that a correction by pairs changes."""
     motion, joint, weights, figures, modes = given
     Q, sightings, rows = _NO_NOISE, state.sightings, pairing.rows
     at_frame: Any = *motion, joint, *sightings, rows, weights, Q, *figures, state.centre_noise, state.holds_rig

@@ -146,13 +146,17 @@ struct Aligned {
 /// of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
 Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, const int64_t* anchor_of,
               const Matrix<3>& R, std::vector<Sums>& by_anchor) {
-    thread_local Pixels pixels;
+    thread_local Pixels all, some;
     thread_local Residuals found;
+    all.take(samples, STATIC_ODDS);
+    found.make_room(all.size() + 1);
+    std::vector<size_t> which;
     Aligned r{R};
     Look seen;
     for (size_t every : {std::max<size_t>(samples.size / FEW, 1), size_t(1)}) {
-        pixels.take(samples, STATIC_ODDS, every);
-        found.make_room(pixels.size() + 1);
+        for (size_t i = 0; every > 1 && i < all.size(); i += every) which.push_back(i);
+        if (every > 1) some.take(all, which);
+        const Pixels& pixels = every > 1 ? some : all;
         for (int round = 0; round < MOST_ROUNDS; round++) {
             const Matrix3f towards = r.R.transpose().cast<float>();
             found.clear();
@@ -241,11 +245,10 @@ NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::h
         for (size_t i = 0; i < pixels.size(); i++) {
             const Vector3f x = turned * Vector3f(pixels.x[i], pixels.y[i], pixels.z[i]);
             const Place p = place_on(x[0], x[1], x[2], picture.n);
-            const int row = p.row + (p.down > 0.5f);
-            const int cell = row % BAND * picture.n + p.column + (p.right > 0.5f);
-            const size_t band = size_t(p.face * picture.bands + row / BAND);
-            if (picture.weight[band][cell] < LEAST_WEIGHT) continue;
-            const float q = pixels.contrast[i], m = picture.value[band][cell];
+            const size_t at =
+                (size_t(p.face) * picture.n + p.row + (p.down > 0.5f)) * picture.n + p.column + (p.right > 0.5f);
+            if (picture.weight[at] < LEAST_WEIGHT) continue;
+            const float q = pixels.contrast[i], m = picture.value[at];
             qq += q * q;
             mm += m * m;
             qm += q * m;

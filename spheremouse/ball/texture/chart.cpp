@@ -1,7 +1,7 @@
 // Grey values of an image on a chart, and the contrast there.
 #include <cstring>
 
-#include "spheremouse/ball/texture/kept_memory.h"
+#include "spheremouse/native/arrays.h"
 
 namespace spheremouse::ball {
 namespace {
@@ -58,7 +58,7 @@ WIDE void interpolate(const uint16_t* two, const int* at, const uint16_t* part, 
     }
 }
 
-nb::object resample_chart(nb::handle image_, nb::handle at_, nb::handle part_, nb::handle inside_) {
+NewArray<uint8_t> resample_chart(nb::handle image_, nb::handle at_, nb::handle part_, nb::handle inside_) {
     const auto image = array<const uint8_t, -1, -1>(image_, "image");
     const auto at = array<const int32_t, -1, -1>(at_, "at");
     const auto part = array<const uint16_t, -1, -1>(part_, "part");
@@ -73,7 +73,7 @@ nb::object resample_chart(nb::handle image_, nb::handle at_, nb::handle part_, n
         if (any_beyond(at.data() + i * inside.columns + first, end - first, image.size()))
             throw nb::index_error("at: no such pixel");
     }
-    const KeptArray<uint8_t> chart({inside.rows, inside.columns});
+    auto chart = zeros<uint8_t>({inside.rows, inside.columns});
     nb::gil_scoped_release release;
     thread_local std::vector<uint16_t> two;  // kept: the pages of new memory take long
     two.resize(image.size() + 1);
@@ -82,45 +82,10 @@ nb::object resample_chart(nb::handle image_, nb::handle at_, nb::handle part_, n
                  two.data() + i * width);
     for (size_t i = 0; i < inside.rows; i++) {
         const auto [first, end] = inside.span(i);
-        uint8_t* row = chart.data + i * inside.columns;
         const size_t k = i * inside.columns + first;
-        std::fill(row, row + first, uint8_t(0));
-        interpolate(two.data(), at.data() + k, part.data() + k, mask.data() + k, end - first, row + first);
-        std::fill(row + end, row + inside.columns, uint8_t(0));
+        interpolate(two.data(), at.data() + k, part.data() + k, mask.data() + k, end - first, chart.data() + k);
     }
-    return chart.array;
-}
-
-/// Write the means of squares of `ratio` pixels.
-WIDE void reduce_row(const uint8_t* chart, size_t columns, size_t ratio, const uint8_t* mask, uint32_t* __restrict sums,
-                     uint8_t* __restrict out) {
-    const size_t n = columns / ratio;
-    std::fill(sums, sums + columns, 0u);
-    for (size_t d = 0; d < ratio; d++)
-        for (size_t j = 0; j < columns; j++) sums[j] += chart[d * columns + j];
-    const float share = 1.0f / float(ratio * ratio);
-    for (size_t j = 0; j < n; j++) {
-        unsigned sum = 0;
-        for (size_t d = 0; d < ratio; d++) sum += sums[j * ratio + d];
-        out[j] = uint8_t(uint8_t(float(sum) * share + 0.5f) & mask[j]);
-    }
-}
-
-/// Return the coarse chart of which a pixel is the mean of a square of the fine one, 0 beside the ball.
-NewArray<uint8_t> reduce_chart(nb::handle chart_, nb::handle inside_) {
-    const auto chart = array<const uint8_t, -1, -1>(chart_, "chart"),
-               inside = array<const uint8_t, -1, -1>(inside_, "inside");
-    const size_t rows = inside.shape(0), n = inside.shape(1);
-    const size_t ratio = n > 0 ? chart.shape(1) / n : 0;
-    if (rows == 0 || n == 0 || ratio == 0 || chart.shape(0) != ratio * rows || chart.shape(1) != ratio * n)
-        throw nb::type_error("inside: must have a pixel for each square of chart");
-    auto coarse = zeros<uint8_t>({rows, n});
-    nb::gil_scoped_release release;
-    std::vector<uint32_t> sums(ratio * n);
-    for (size_t i = 0; i < rows; i++)
-        reduce_row(chart.data() + i * ratio * ratio * n, ratio * n, ratio, inside.data() + i * n, sums.data(),
-                   coarse.data() + i * n);
-    return coarse;
+    return chart;
 }
 
 /// A row of the chart whose contrast is computed.
@@ -244,23 +209,20 @@ void Light::contrast(size_t row, size_t first, size_t end, float* out) {
     compute(work, reach_, out);
 }
 
-nb::object contrast_on_chart(nb::handle light_, nb::handle inside_, nb::handle far, int reach) {
+NewArray<float> contrast_on_chart(nb::handle light_, nb::handle inside_, nb::handle far, int reach) {
     Light light(light_, far, reach);
     const auto mask = array<const uint8_t, -1, -1>(inside_, "inside");
     const Inside inside{mask.data(), light.rows(), light.columns()};
     if (mask.shape(0) != inside.rows || mask.shape(1) != inside.columns)
         throw nb::type_error("inside: must have the shape of light");
-    const KeptArray<float> contrast({inside.rows, inside.columns});
+    auto contrast = zeros<float>({inside.rows, inside.columns});
     nb::gil_scoped_release release;
     light.prepare();
     for (size_t i = 0; i < inside.rows; i++) {
         const auto [first, end] = inside.span(i);
-        float* row = contrast.data + i * inside.columns;
-        std::fill(row, row + first, 0.0f);
-        light.contrast(i, first, end, row);
-        std::fill(row + end, row + inside.columns, 0.0f);
+        light.contrast(i, first, end, contrast.data() + i * inside.columns);
     }
-    return contrast.array;
+    return contrast;
 }
 
 NewArray<float> contrast_of_samples(nb::handle light_, nb::handle at_, nb::handle far, int reach) {
@@ -291,7 +253,6 @@ NewArray<float> contrast_of_samples(nb::handle light_, nb::handle at_, nb::handl
 void bind_chart(nb::module_& m) {
     m.attr("PARTS") = PARTS;
     m.def("resample_chart", &resample_chart, arg("image"), arg("at"), arg("part"), arg("inside"));
-    m.def("reduce_chart", &reduce_chart, arg("chart"), arg("inside"));
     m.def("contrast_on_chart", &contrast_on_chart, arg("light"), arg("inside"), arg("far"), arg("reach"));
     m.def("contrast_of_samples", &contrast_of_samples, arg("light"), arg("at"), arg("far"), arg("reach"));
 }

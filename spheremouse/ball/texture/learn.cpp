@@ -1,7 +1,4 @@
 // The picture of a ball, learnt from frames at known attitudes, and the pixels that do not turn with the ball.
-#include <cstring>
-
-#include "spheremouse/ball/texture/kept_memory.h"
 #include "spheremouse/ball/texture/picture.h"
 
 namespace spheremouse::ball {
@@ -20,8 +17,8 @@ constexpr float MOST_OF_OFFSET = 3.0f;  // standard deviations of a contrast, by
 struct Shown {
     const float* contrast;  // (height, width)
     int height, width;
-    const int* number;   // (rows, columns) of the sample there
-    const float* still;  // of each sample, contrast that stands still; nan: it shows no part of the ball that turns
+    const float* still;  // (rows, columns) contrast that stands still in the sample there; nan: it shows no part
+                         // of the ball that turns
     int rows, columns;
     float middle;              // px
     Matrix3f axes;             // rows: right and down on the chart, and towards the camera; ball
@@ -98,16 +95,15 @@ WIDE float learn_tile(const Picture& picture, const Shown& shown, float most, bo
     for (int k = 0; k < TileSeen::CELLS; k++) {
         const float *a = shown.contrast + seen.pixel[k], *b = a + shown.width;
         const float upper = a[0] + seen.right[k] * (a[1] - a[0]), lower = b[0] + seen.right[k] * (b[1] - b[0]);
-        const float still = shown.still[shown.number[seen.sample[k]]];
+        const float still = shown.still[seen.sample[k]];
         now[k] = upper + seen.down[k] * (lower - upper) - still;
         stands[k] = (seen.facing[k] > 0.0f) & (still != still);
         learns[k] = (std::abs(now[k]) < INFINITY) & !forget ? seen.facing[k] * seen.facing[k] : 0.0f;
     }
     float sum = 0.0f;
     for (int i = 0, k = 0; i < TILE; i++) {
-        const int at = (tile_row * TILE % BAND + i) * picture.n + tile_column * TILE;
-        const size_t band = size_t(face * picture.bands + tile_row * TILE / BAND);
-        float *value = picture.value[band] + at, *weight = picture.weight[band] + at;
+        const size_t at = (size_t(face) * picture.n + tile_row * TILE + i) * picture.n + tile_column * TILE;
+        float *value = picture.value + at, *weight = picture.weight + at;
         for (int j = 0; j < TILE; j++, k++) {
             const float before = weight[j], w = learns[k];
             const float after = value[j] + (now[k] - value[j]) * w / (before + w);
@@ -119,34 +115,8 @@ WIDE float learn_tile(const Picture& picture, const Shown& shown, float most, bo
     return sum / float(TileSeen::CELLS);
 }
 
-/// Return whether any of n numbers is no sample of `samples`, and not -1 either.
-WIDE bool any_beyond(const int* number, size_t n, int samples) {
-    int beyond = 0;
-    for (size_t i = 0; i < n; i++) beyond |= (number[i] < -1) | (number[i] >= samples);
-    return beyond != 0;
-}
-
-/// Replace the bands of a picture that have one of some tiles by copies, and return all bands.
-nb::tuple copied_bands(nb::tuple bands, Picture& picture, const Array<const int64_t, -1>& tiles) {
-    const int t = picture.tiles();
-    nb::list copies(bands);
-    std::vector<bool> is_copy(picture.value.size());
-    for (size_t i = 0; i < tiles.size(); i++) {
-        const int tile = int(tiles.data()[i]);
-        const size_t k = size_t(tile / (t * t) * picture.bands + tile / t % t * TILE / BAND);
-        if (is_copy[k]) continue;
-        is_copy[k] = true;
-        const size_t size = size_t(picture.weight[k] - picture.value[k]);
-        const KeptArray<float> copy({2, size / size_t(picture.n), size_t(picture.n)});
-        std::memcpy(copy.data, picture.value[k], 2 * size * sizeof(float));
-        picture.value[k] = copy.data, picture.weight[k] = copy.data + size;
-        copies[k] = copy.array;
-    }
-    return nb::tuple(copies);
-}
-
-nb::tuple learn_texture(nb::tuple seen, nb::tuple bands, nb::handle known_, nb::handle which_, nb::tuple chart,
-                        nb::handle R_, double most, bool forget) {
+void learn_texture(nb::tuple seen, nb::tuple picture_, nb::handle which_, nb::tuple chart, nb::handle R_, double most,
+                   bool forget) {
     members(seen, 5, "seen");
     const auto contrast = array<const float, -1, -1>(seen[0], "contrast");
     const auto number_of = array<const int32_t, -1, -1>(seen[1], "number");
@@ -155,13 +125,15 @@ nb::tuple learn_texture(nb::tuple seen, nb::tuple bands, nb::handle known_, nb::
     if (offset.size() != odds.size()) throw nb::type_error("offset: must have the length of odds");
     if (contrast.size() == 0 || number_of.size() == 0) throw nb::type_error("contrast, number: must have pixels");
     if (step < 1) throw nb::index_error("step: must be 1 or more");
-    const int* numbers = number_of.data();
-    if (any_beyond(numbers, number_of.size(), int(odds.size()))) throw nb::index_error("number: no such sample");
-    std::vector<float> still(odds.size() + 1, NAN);  // the first one is for no sample
-    for (size_t i = 0; i < odds.size(); i++)
-        if (odds.data()[i] > STATIC_ODDS) still[i + 1] = offset.data()[i];
-    Picture picture = read_picture(bands);
-    const auto known = array<const float, 6, -1, -1>(known_, "known");
+    std::vector<float> still(number_of.size(), NAN);
+    for (size_t i = 0; i < still.size(); i++) {
+        const int sample = number_of.data()[i];
+        if (sample >= int(odds.size())) throw nb::index_error("number: no such sample");
+        if (sample >= 0 && odds.data()[sample] > STATIC_ODDS) still[i] = offset.data()[sample];
+    }
+    members(picture_, 3, "picture");
+    const Picture picture = read_picture(nb::make_tuple(picture_[0], picture_[1]));
+    const auto known = array<float, 6, -1, -1>(picture_[2], "known");
     const int tiles = picture.tiles();
     if (int(known.shape(1)) != tiles || int(known.shape(2)) != tiles)
         throw nb::type_error("known: must have one element for each tile");
@@ -172,25 +144,18 @@ nb::tuple learn_texture(nb::tuple seen, nb::tuple bands, nb::handle known_, nb::
     Shown shown{};
     shown.contrast = contrast.data();
     shown.height = int(contrast.shape(0)), shown.width = int(contrast.shape(1));
-    shown.number = numbers;
-    shown.still = still.data() + 1;
+    shown.still = still.data();
     shown.rows = int(number_of.shape(0)), shown.columns = int(number_of.shape(1));
     shown.middle = 0.5f * float(number<int>(chart[2], "size") - 1);
     shown.axes = (Matrix<3>(matrix<3, 3>(chart[0], "axes")) * matrix<3, 3>(R_, "R")).cast<float>();
     shown.by_step = 1.0f / float(step);
     shown.set_tables(number<float>(chart[1], "spacing"), number<float>(chart[3], "distance"));
-    const nb::tuple copies = copied_bands(bands, picture, which);
-    auto after = zeros<float>({6, size_t(tiles), size_t(tiles)});
-    std::copy_n(known.data(), known.size(), after.data());
-    {
-        nb::gil_scoped_release release;
-        for (size_t i = 0; i < which.size(); i++) {
-            const int t = int(which.data()[i]);
-            after.data()[t] =
-                learn_tile(picture, shown, float(most), forget, t / (tiles * tiles), t / tiles % tiles, t % tiles);
-        }
+    nb::gil_scoped_release release;
+    for (size_t i = 0; i < which.size(); i++) {
+        const int t = int(which.data()[i]);
+        known.data()[t] =
+            learn_tile(picture, shown, float(most), forget, t / (tiles * tiles), t / tiles % tiles, t % tiles);
     }
-    return nb::make_tuple(copies, after);
 }
 
 /// How samples are weighed.
@@ -275,12 +240,11 @@ nb::tuple leave_out_doubtful(nb::tuple samples_, nb::handle first_, nb::handle o
 
 void bind_learn(nb::module_& m) {
     m.attr("TILE") = TILE;
-    m.attr("BAND") = BAND;
     m.attr("LEAST_WEIGHT") = LEAST_WEIGHT;
     m.attr("STATIC_ODDS") = STATIC_ODDS;
     m.attr("FACING") = FACING;
-    m.def("learn_texture", &learn_texture, arg("seen"), arg("bands"), arg("known"), arg("tiles"), arg("chart"),
-          arg("R"), arg("most"), arg("forget"));
+    m.def("learn_texture", &learn_texture, arg("seen"), arg("picture"), arg("tiles"), arg("chart"), arg("R"),
+          arg("most"), arg("forget"));
     m.def("leave_out_doubtful", &leave_out_doubtful, arg("samples"), arg("first"), arg("own"), arg("change"),
           arg("detail"));
     m.def("weigh_static", &weigh_static, arg("samples"), arg("picture"), arg("R"), arg("after"), arg("noise"),

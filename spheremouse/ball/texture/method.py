@@ -37,7 +37,9 @@ from spheremouse.ball.texture.picture import (
     STATIC_ODDS,
     Alignment,
     ChartLight,
+    Picture,
     TextureView,
+    Tiles,
     align,
     contrast_noise,
     contrast_of_samples,
@@ -56,6 +58,7 @@ from spheremouse.ball.texture.picture import (
 from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
 from spheremouse.ball.texture.search import (
     FRAMES_PER_SEARCH,
+    Lesson,
     Level,
     TextureDetector,
     TextureState,
@@ -73,6 +76,7 @@ _SEEN = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
+_MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
 _EVERY = 4  # frames, of which one is learnt and another weighed: neighbours in time show the same
 _LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
 _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
@@ -222,8 +226,8 @@ class _Work(NamedTuple):
 
     weighs: bool  # whether each sample turns
     starts: bool  # pictures of the ball alone
-    moved: bool  # so far that the pictures learn
-    turn: int  # number of times that they could
+    moved: bool  # so far that another lesson begins
+    turn: int  # number of the lesson
     settle: float  # share of the frame in the contrast that stands still
 
 
@@ -231,18 +235,31 @@ def _level_after(
     view: TextureView, level: Level, light: ChartLight, attitude: Array, now: TextureState, work: _Work
 ) -> Level:
     """Return samples and picture at one scale after a frame at an attitude."""
-    seen, picture = level
+    seen, picture, lesson = level
     if work.weighs:
         seen = weigh(view, seen, picture, attitude, now.noise, work.settle)
     if work.starts:
         seen = seen_again(view, seen, seen.contrast, now.noise)
         picture = forget(view, seen, picture, now.began)
-        tiles = tiles_in_view(view, attitude)
+        lesson = Lesson(attitude, seen, contrast_on_chart(view, light), (tiles_in_view(view, attitude),))
     elif work.moved:
-        tiles = tiles_to_learn(view, picture, attitude, work.turn)
-    else:
-        return Level(seen, picture)
-    return Level(seen, learn(view, seen, contrast_on_chart(view, light), picture, attitude, tiles))
+        parts = _parts(tiles_to_learn(view, picture, attitude, work.turn))
+        lesson = Lesson(attitude, seen, contrast_on_chart(view, light), parts)
+    if lesson is not None:
+        picture, lesson = _with_lesson(view, picture, lesson)
+    return Level(seen, picture, lesson)
+
+
+def _parts(tiles: Tiles) -> tuple[Tiles, ...]:
+    """Return tiles in parts, one for each frame until the next lesson at most."""
+    return tuple(np.array_split(tiles, np.clip(-(-len(tiles) // _MOST_TILES), 1, _EVERY)))
+
+
+def _with_lesson(view: TextureView, picture: Picture, lesson: Lesson) -> tuple[Picture, Lesson | None]:
+    """Return the picture after the next part of a lesson, and the rest of it."""
+    part, *rest = lesson.parts
+    learnt = learn(view, lesson.seen, lesson.contrast, picture, lesson.attitude, part)
+    return learnt, lesson._replace(parts=tuple(rest)) if rest else None
 
 
 def _detections(

@@ -9,17 +9,16 @@ namespace spheremouse::ball {
 constexpr float HALF = 1.1f;  // half the width of a face of the cube of half width 1: faces overlap, so each place on a
                               // face has four cells around it
 constexpr int TILE = 8;       // cells along the edge of a tile
-constexpr int BAND = 32;      // rows of a band; the last one of a face may have fewer
 constexpr float LEAST_WEIGHT = 0.08f;  // of a cell: one oblique view
 constexpr float STATIC_ODDS = -3.0f;   // log odds below which a sample does not turn with the ball
 
 using Vector3f = Eigen::Vector3f;
 using Matrix3f = Eigen::Matrix3f;
 
-/// Six faces of (n, n) cells, in bands of rows: a lesson copies those that it changes.
+/// Six faces of (n, n) cells.
 struct Picture {
-    std::vector<float*> value, weight;  // by band: contrast; views that it is the mean of
-    int n, bands;                       // cells along a face, and bands of a face
+    float *value, *weight;  // contrast; views that it is the mean of
+    int n;
 
     int tiles() const { return n / TILE; }
 };
@@ -78,8 +77,8 @@ class Pixels {
     std::vector<float> contrast, x, y, z;
 
     size_t size() const { return size_; }
-    /// Take one of `every` few samples that have a direction, and whose log odds are at least so large.
-    void take(const Samples& samples, float least_odds, size_t every = 1);
+    /// Take the samples with a direction, whose log odds are at least so large.
+    void take(const Samples& samples, float least_odds);
     /// Take some of other pixels.
     void take(const Pixels& other, const std::vector<size_t>& which);
 };
@@ -97,7 +96,7 @@ struct Look {
             size_t count);
 };
 
-Picture read_picture(nb::tuple bands);
+Picture read_picture(nb::tuple picture);
 Samples read_samples(nb::tuple samples);
 
 }  // namespace spheremouse::ball

@@ -82,29 +82,11 @@ class ChartLight(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """The contrast of the ball's surface on six faces of a cube, and how often each cell was seen.
+    """The contrast of the ball's surface on six faces of a cube, and how often each cell was seen."""
 
-    Bands of rows are arrays of their own, since a lesson copies those that it changes.
-    """
-
-    # Rows of all faces, (2, rows, n) each: contrast; views, each by the squared cosine of its obliqueness
-    bands: tuple[Floats, ...]
+    value: Floats  # (6, n, n)
+    weight: Floats  # (6, n, n) views, each by the squared cosine of its obliqueness
     known: Floats  # (6, t, t) mean weight of each tile
-
-    @property
-    def cells(self) -> int:
-        """Number of cells along a face."""
-        return self.bands[0].shape[2]
-
-    @property
-    def value(self) -> Floats:
-        """The contrast, (6, n, n)."""
-        return np.concatenate([band[0] for band in self.bands]).reshape(6, self.cells, self.cells)
-
-    @property
-    def weight(self) -> Floats:
-        """The views, (6, n, n)."""
-        return np.concatenate([band[1] for band in self.bands]).reshape(6, self.cells, self.cells)
 
 
 class Seen(NamedTuple):
@@ -197,7 +179,9 @@ def texture_pixel(rig: Rig, pose: Pose) -> float:
 
 def light_on_charts(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tuple[ChartLight, ChartLight], float]:
     """Return what grey values on a chart, 0 beside the ball, show there and on the coarse chart, and their mean."""
-    rough = kernels.reduce_chart(grey, coarse.inside)
+    size = coarse.chart.size
+    rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
+    rough = np.asarray(cv2.bitwise_and(rough, coarse.inside), np.uint8)
     far = _box(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK)
     mean = float(rough.sum() / max(np.count_nonzero(coarse.inside), 1))
     return (ChartLight(grey, far), ChartLight(rough, far)), mean
@@ -214,18 +198,9 @@ def _box(picture: Image | Floats, width: int) -> Floats:
 
 def empty_picture(view: TextureView) -> Picture:
     """Return a picture of which nothing is known."""
-    nothing = np.zeros((6, view.cells, view.cells), np.float32)
-    return picture_of_cells(nothing, nothing)
-
-
-def picture_of_cells(value: Array | Floats, weight: Array | Floats) -> Picture:
-    """Return the picture with values and weights, (6, n, n), of its cells."""
-    tiles = weight.shape[1] // TILE
-    known = weight.reshape(6, tiles, TILE, tiles, TILE).mean(axis=(2, 4))
-    faces = np.stack([value, weight], axis=1).astype(np.float32)
-    rows = range(kernels.BAND, faces.shape[2], kernels.BAND)
-    bands = tuple(np.ascontiguousarray(band) for face in faces for band in np.split(face, rows, axis=1))
-    return Picture(bands, known.astype(np.float32))
+    shape = (6, view.cells, view.cells)
+    tiles = view.cells // TILE
+    return Picture(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((6, tiles, tiles), np.float32))
 
 
 def first_seen(view: TextureView, contrast: Floats) -> Seen:
@@ -260,24 +235,19 @@ def align_samples(
 ) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains samples. `noise` is that of a contrast."""
     attitude = np.ascontiguousarray(attitude)
-    return Alignment(*kernels.align_texture(samples, picture.bands, attitude, noise, *scale))
+    return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
 
 
 def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
     """Return the tiles, (k,), of which a frame at `attitude`, (3, 3), shows a part."""
-    return np.flatnonzero(view.tiles @ (view.chart.axes[2] @ attitude).astype(np.float32) > view.least_height)
+    return np.flatnonzero(view.tiles @ (view.chart.axes[2] @ attitude) > view.least_height)
 
 
 def tiles_to_learn(view: TextureView, picture: Picture, attitude: Array, turn: int) -> Tiles:
-    """Return the tiles, (k,), in view that a turn learns.
-
-    The more often one was seen, the less it gains. They learn band by band, since the picture copies each band that
-    changes.
-    """
+    """Return the tiles, (k,), in view that a turn learns. The more often one was seen, the less it gains."""
     which = tiles_in_view(view, attitude)
     every = 1 << np.minimum(picture.known.ravel()[which] / _DOUBLE, _SELDOM).astype(int)
-    band = which * TILE // (view.cells // TILE * kernels.BAND)
-    return which[(band - turn) % every == 0]
+    return which[(which - turn) % every == 0]
 
 
 def learn(view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles) -> Picture:
@@ -297,8 +267,10 @@ def forget(view: TextureView, seen: Seen, picture: Picture, attitude: Array) -> 
 def _taught(
     view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles, forget: bool
 ) -> Picture:
+    learnt = Picture(*(part.copy() for part in picture))
     shown = contrast, view.number, seen.counts, seen.offset, view.step
-    return Picture(*kernels.learn_texture(shown, *picture, tiles, view.chart, attitude, _VIEWS, forget))
+    kernels.learn_texture(shown, learnt, tiles, view.chart, attitude, _VIEWS, forget)
+    return learnt
 
 
 def contrast_on_chart(view: TextureView, shown: ChartLight) -> Floats:
@@ -352,7 +324,7 @@ def weigh(
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
     kernels.weigh_static(
-        _samples(view, seen, seen.counts), picture.bands, attitude, after, noise, _OF_LATE, settle, apart
+        _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, apart
     )
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     grid = np.zeros(view.number.shape, np.float32)
@@ -369,7 +341,7 @@ def _samples(view: TextureView, seen: Seen, odds: Floats) -> Samples:
 def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:
     """Return the correlation, (n,), of a frame and the picture at attitudes, (n, 3, 3), by the `most` best samples."""
     samples = _samples(view, seen, seen.counts)
-    return kernels.correlate_texture(samples, picture.bands, np.ascontiguousarray(attitudes), most)
+    return kernels.correlate_texture(samples, picture[:2], np.ascontiguousarray(attitudes), most)
 
 
 def anchor_directions() -> Array:

@@ -21,8 +21,10 @@ from spheremouse.ball.state import SURE, Recognising, TrackState
 from spheremouse.ball.texture.picture import (
     HALF,
     LEAST_WEIGHT,
+    TILE,
     Alignment,
     AlignmentScale,
+    Floats,
     Picture,
     Samples,
     align_samples,
@@ -32,7 +34,6 @@ from spheremouse.ball.texture.picture import (
     contrast_of_samples,
     first_seen,
     grain_of,
-    picture_of_cells,
     without_past,
 )
 from spheremouse.ball.texture.search import (
@@ -88,7 +89,7 @@ class PictureMap:
     @property
     def amount(self) -> float:
         """Known part of the ball, %."""
-        x, own = cell_directions(self.coarse.cells), _own_cells(self.coarse)
+        x, own = cell_directions(self.coarse.value.shape[1]), _own_cells(self.coarse)
         area = np.where(own, np.max(np.abs(x), axis=-1) ** 3, 0.0)  # of a cell, by the distance of its plane place
         return float(100.0 * np.sum(area[self.coarse.weight >= LEAST_WEIGHT]) / np.sum(area))
 
@@ -100,9 +101,7 @@ class PictureMap:
     @property
     def is_finite(self) -> bool:
         """Return whether all cells and covariances are finite."""
-        return self.parts.is_finite and all(
-            np.isfinite(band).all() for level in (self.fine, self.coarse) for band in level.bands
-        )
+        return self.parts.is_finite and all(np.isfinite(p).all() for level in (self.fine, self.coarse) for p in level)
 
     def improves(self, saved: "PictureMap") -> bool:
         """Return whether the cells have been seen more often than those of a saved map."""
@@ -110,7 +109,7 @@ class PictureMap:
 
     def compare(self, other: "PictureMap") -> PictureComparison | None:
         """Compare with another picture in any frame. Return None if they show no sign of the same ball."""
-        correlation = partial(kernels.correlate_texture, _samples(self.coarse, _SAMPLES[1]), other.coarse.bands)
+        correlation = partial(kernels.correlate_texture, _samples(self.coarse, _SAMPLES[1]), other.coarse[:2])
         for part in range(FRAMES_PER_SEARCH):
             for attitude in best_attitudes(correlation, attitudes_of_part(part)):
                 found = self.compare_at(other, attitude.T)
@@ -185,28 +184,31 @@ def recalled(detector: TextureDetector, frame: Frame, saved: PictureMap) -> Text
 
 def resized(picture: Picture, cells: int) -> Picture:
     """Return a picture with another number of cells along a face, a multiple of `TILE`."""
-    if picture.cells == cells:
+    if picture.value.shape[1] == cells:
         return picture
-    by = cv2.INTER_AREA if cells < picture.cells else cv2.INTER_LINEAR
-    value, weight = (
-        np.stack([cv2.resize(face, (cells, cells), interpolation=by) for face in p])
-        for p in (picture.value, picture.weight)
-    )
+    by = cv2.INTER_AREA if cells < picture.value.shape[1] else cv2.INTER_LINEAR
+    value, weight = (np.stack([cv2.resize(face, (cells, cells), interpolation=by) for face in p]) for p in picture[:2])
     unseen = np.stack([cv2.resize((face < LEAST_WEIGHT).astype(np.float32), (cells, cells)) for face in picture.weight])
-    return picture_of_cells(value, np.where(unseen > 0.0, 0.0, weight))
+    return with_known(value, np.where(unseen > 0.0, 0.0, weight))
+
+
+def with_known(value: Array | Floats, weight: Array | Floats) -> Picture:
+    """Return the picture with values and weights, (6, n, n), of its cells."""
+    tiles = weight.shape[1] // TILE
+    known = weight.reshape(6, tiles, TILE, tiles, TILE).mean(axis=(2, 4))
+    return Picture(*(np.ascontiguousarray(part, dtype=np.float32) for part in (value, weight, known)))
 
 
 def look(picture: Picture, directions: Array) -> tuple[Array, Array]:
     """Return value and weight, (...), that a picture shows at directions (..., 3), between four cells."""
     x = directions.reshape(-1, 3)
-    axis, n = np.argmax(np.abs(x), axis=1), picture.cells
+    axis, n = np.argmax(np.abs(x), axis=1), picture.value.shape[1]
     k = np.arange(len(x))
     face = 2 * axis + (x[k, axis] < 0.0)
     at = np.stack([x[k, (axis + 1) % 3], x[k, (axis + 2) % 3]]) / np.abs(x[k, axis])
     place = (at + HALF) * n / (2.0 * HALF) - 0.5
     row, column = np.floor(place).astype(int)
     down, right = place - (row, column)
-    values, weights = picture.value, picture.weight
     value, weight = np.zeros(len(x)), np.full(len(x), np.inf)
     for i, j, share in (
         (0, 0, (1.0 - down) * (1.0 - right)),
@@ -214,8 +216,8 @@ def look(picture: Picture, directions: Array) -> tuple[Array, Array]:
         (0, 1, (1.0 - down) * right),
         (1, 1, down * right),
     ):
-        value += share * values[face, row + i, column + j]
-        weight = np.minimum(weight, weights[face, row + i, column + j])
+        value += share * picture.value[face, row + i, column + j]
+        weight = np.minimum(weight, picture.weight[face, row + i, column + j])
     return value.reshape(directions.shape[:-1]), weight.reshape(directions.shape[:-1])
 
 
@@ -236,25 +238,25 @@ def unfolded(picture: Picture, width: int) -> Image:
 
 
 def _turned(picture: Picture, rotation: Array) -> Picture:
-    return picture_of_cells(*look(picture, cell_directions(picture.cells) @ rotation))
+    return with_known(*look(picture, cell_directions(picture.value.shape[1]) @ rotation))
 
 
 def _own_cells(picture: Picture) -> NDArray[np.bool_]:
     """True for the cells, (6, n, n), that no other face shows as well."""
-    n = picture.cells
+    n = picture.value.shape[1]
     at = np.abs((2.0 * (np.arange(n) + 0.5) / n - 1.0) * HALF) <= 1.0
-    return np.broadcast_to(at[:, None] & at, (6, n, n))
+    return np.broadcast_to(at[:, None] & at, picture.value.shape)
 
 
 def _samples(picture: Picture, most: int) -> Samples:
     """Return up to `most` known cells of a picture as samples of a frame in which the ball is seen from all sides."""
     index = np.flatnonzero(_own_cells(picture) & (picture.weight >= LEAST_WEIGHT))
     index = index[:: max(len(index) // most, 1)]
-    direction = cell_directions(picture.cells).reshape(-1, 3)[index].astype(np.float32)
+    direction = cell_directions(picture.value.shape[1]).reshape(-1, 3)[index].astype(np.float32)
     zero = np.zeros(len(index), np.float32)
     return picture.value.ravel()[index], np.ascontiguousarray(direction.T), zero, zero
 
 
 def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
-    pixel, one_anchor = 2.0 * HALF / picture.cells, np.zeros(picture.known.shape, np.int64)
+    pixel, one_anchor = 2.0 * HALF / picture.value.shape[1], np.zeros(picture.known.shape, np.int64)
     return align_samples(samples, picture, attitude, noise, AlignmentScale(_CONTOUR, pixel, one_anchor, 1))

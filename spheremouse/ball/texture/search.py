@@ -21,9 +21,11 @@ from spheremouse.ball.texture.picture import (
     DETAIL,
     Alignment,
     ChartLight,
+    Floats,
     Picture,
     Seen,
     TextureView,
+    Tiles,
     align,
     correlate,
     light_on_charts,
@@ -91,11 +93,21 @@ def texture_chart(rig: Rig, pose: Pose) -> tuple[Chart, Resampling]:
     return chart, resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
 
 
+class Lesson(NamedTuple):
+    """A frame whose tiles the picture learns in parts, one for each of the next frames."""
+
+    attitude: Array  # (3, 3) R_obj_ball
+    seen: Seen
+    contrast: Floats  # (h, w) of the chart
+    parts: tuple[Tiles, ...]
+
+
 class Level(NamedTuple):
     """Samples and picture at one scale."""
 
     seen: Seen
     picture: Picture
+    lesson: Lesson | None = None
 
 
 class TextureState(NamedTuple):

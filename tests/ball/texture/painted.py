@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.texture.picture import first_seen, picture_of_cells
+from spheremouse.ball.texture.picture import Picture, empty_picture, first_seen
 from spheremouse.ball.texture.search import Level, TextureState, texture_detector
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -60,8 +60,8 @@ def cell_directions(n):
 
 def picture_of(view, texture, weight=20.0):
     """Return the picture of a texture of which each cell was seen `weight` times."""
-    value = _values(texture, view is DETECTOR.fine)
-    return picture_of_cells(value, np.full_like(value, weight))
+    picture = empty_picture(view)
+    return Picture(_values(texture, view is DETECTOR.fine), picture.weight + weight, picture.known + weight)
 
 
 @cache

@@ -34,20 +34,22 @@ def aligned(
     R=R,
     noise: Any = NOISE,
     place: Any = 0.2 * VIEW.pixel,
-    bands: Any = PICTURE.bands,
+    value=PICTURE.value,
+    weight=PICTURE.weight,
     **samples: Any,
 ) -> Any:
     more = {"anchor_of": VIEW.anchor_of, "anchors": len(VIEW.anchors)}
     more |= {name: samples.pop(name) for name in list(samples) if name in more}
     members = _members(samples)
-    return kernels.align_texture(members, bands, R, noise, place, VIEW.pixel, *more.values())
+    return kernels.align_texture(members, (value, weight), R, noise, place, VIEW.pixel, *more.values())
 
 
-def correlated(*, attitudes=R[None], most=200, bands: Any = PICTURE.bands, **samples: Any) -> Any:
-    return kernels.correlate_texture(_members(samples), bands, attitudes, most)
+def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTURE.weight, **samples: Any) -> Any:
+    return kernels.correlate_texture(_members(samples), (value, weight), attitudes, most)
 
 
 def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, tiles=ALL, forget=False, most=20.0, **seen: Any) -> Any:
+    value, weight, after = PICTURE.value.copy(), PICTURE.weight.copy(), known.copy()
     members: Any = {
         "contrast": WHOLE,
         "number": VIEW.number,
@@ -56,13 +58,13 @@ def learnt(*, R=R, chart=VIEW.chart, known=PICTURE.known, tiles=ALL, forget=Fals
         "step": VIEW.step,
     }
     members = tuple((members | seen).values())
-    bands, known = kernels.learn_texture(members, PICTURE.bands, known, tiles, chart, R, most, forget)
-    return *bands, known
+    kernels.learn_texture(members, (value, weight, after), tiles, chart, R, most, forget)
+    return value, weight, after
 
 
 def weighed(*, R=R, mean=SEEN.mean, odds_after=SEEN.odds, offset_after=SEEN.offset, noise=NOISE, **samples: Any) -> Any:
     after = mean.copy(), odds_after.copy(), offset_after.copy()
-    kernels.weigh_static(_members(samples), PICTURE.bands, R, after, noise, 0.2, 0.01, 3.0)
+    kernels.weigh_static(_members(samples), PICTURE[:2], R, after, noise, 0.2, 0.01, 3.0)
     return after
 
 
@@ -100,16 +102,16 @@ OTHER_NAMES: dict[Any, str] = {
 @pytest.mark.parametrize(
     ("function", "name", "wrong"),
     [
-        (aligned, "bands", PICTURE.bands[:5]),
-        (aligned, "bands", (PICTURE.bands[0][:, 1:, 1:].copy(), *PICTURE.bands[1:])),
-        (aligned, "bands", (*PICTURE.bands[:5], PICTURE.bands[0][:, 8:, 8:].copy())),
+        (aligned, "value", PICTURE.value[:5].copy()),
+        (aligned, "value", PICTURE.value[:, 1:, 1:].copy()),
+        (aligned, "weight", PICTURE.weight[:, 8:, 8:].copy()),
         (aligned, "R", np.eye(4)),
         (aligned, "R", np.eye(3, dtype=np.float32)),
         (aligned, "anchor_of", VIEW.anchor_of[:, 1:].copy()),
         (aligned, "anchor_of", VIEW.anchor_of.astype(np.int32)),
         (correlated, "attitudes", np.eye(3)),
         (correlated, "attitudes", np.eye(3, dtype=np.float32)[None]),
-        (correlated, "bands", (PICTURE.bands[0].astype(np.float64), *PICTURE.bands[1:])),
+        (correlated, "value", PICTURE.value.astype(np.float64)),
         (doubted, "first", SEEN.first[1:].copy()),
         (doubted, "own", SEEN.odds[1:].copy()),
         (learnt, "R", np.eye(2)),
@@ -179,13 +181,14 @@ def test_any_number_of_samples_may_be_asked_for(most):
 
 def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
     """The corner of the cube is beside the last cell: the next one would be that of another face, or of no picture."""
-    memory = np.full((6, 3, 8, 8), np.nan, np.float32)
-    memory[:, 0], memory[:, 1] = np.random.default_rng(0).normal(size=(6, 8, 8)), 1.0
+    memory = np.full((7, 8, 8), np.nan, np.float32)
+    memory[:6] = np.random.default_rng(0).normal(size=(6, 8, 8))
     corners = np.array([[x, y, z] for x in (-0.999, 0.999) for y in (-0.999, 0.999) for z in (-1.0, 1.0)])
     direction: Any = np.resize(corners, VIEW.direction.T.shape).T
     found = aligned(
         direction=np.ascontiguousarray(direction, dtype=np.float32),
-        bands=tuple(memory[:, :2]),
+        value=memory[:6],
+        weight=np.ones((6, 8, 8), np.float32),
         anchor_of=np.zeros((6, 1, 1), np.int64),
         R=np.eye(3),
     )
@@ -193,14 +196,14 @@ def test_a_picture_of_a_single_tile_on_each_face_has_a_place_for_each_corner():
 
 
 def test_no_information_comes_from_what_stands_still_or_is_unknown():
-    still, unknown = np.full_like(SEEN.odds, -3.1), picture_of(VIEW, waves(0), 0.0).bands
-    changes: list[dict[str, Any]] = [{"odds": still}, {"bands": unknown}]
+    still, unknown = np.full_like(SEEN.odds, -3.1), np.zeros_like(PICTURE.weight)
+    changes: list[dict[str, Any]] = [{"odds": still}, {"weight": unknown}]
     for change in changes:
         found = aligned(**change)
         assert found[3] == 0
         assert not np.any(found[5])
         assert not found[4]
-    assert correlated(odds=still)[0] == correlated(bands=unknown)[0] == 0.0
+    assert correlated(odds=still)[0] == correlated(weight=unknown)[0] == 0.0
 
 
 def test_the_information_of_the_anchors_is_that_of_their_pixels():
@@ -218,12 +221,12 @@ def test_an_alignment_from_the_attitude_found_stays_there():
 
 @pytest.mark.parametrize("known", [0.0, 10.0])
 def test_turns_learn_all_of_a_picture_in_parts(known):
-    """Each tile that is not known yet in one turn, and each that is in 8. Parts are bands, and so not equally large."""
+    """Each tile that is not known yet in one turn, and each that is in 8."""
     start, every = picture_of(VIEW, plain, known), 1 if known == 0.0 else 8
     parts = [tiles_to_learn(VIEW, start, R, turn) for turn in range(every)]
     whole = tiles_in_view(VIEW, R)
     assert np.array_equal(np.sort(np.concatenate(parts)), whole)  # none twice
-    assert max(len(p) for p in parts) < 3.0 * len(whole) / every
+    assert max(len(p) for p in parts) < 1.5 * len(whole) / every
     seen = learn(VIEW, SEEN, WHOLE, start, R, ALL).weight
     assert np.array_equal(learn(VIEW, SEEN, WHOLE, start, R, whole).weight, seen)  # the others show nothing
     for part in parts:

@@ -21,7 +21,6 @@ from spheremouse.ball.texture.picture import (
     first_seen,
     forget,
     learn,
-    picture_of_cells,
     seen_again,
     tiles_in_view,
     weigh,
@@ -62,10 +61,12 @@ def directions(view):
 
 def picture_with(view, texture, weight=5.0):
     """The picture of a texture, each cell as its direction."""
+    picture = empty_picture(view)
     n = view.cells
     x = np.array([twins.direction_of(f, i, j, n) for f, i, j in np.ndindex(6, n, n)])
-    value = texture(x / np.linalg.norm(x, axis=1, keepdims=True)).reshape(6, n, n)
-    return picture_of_cells(value, np.full((6, n, n), weight))
+    picture.value[:] = texture(x / np.linalg.norm(x, axis=1, keepdims=True)).reshape(6, n, n)
+    picture.weight[:] = weight
+    return picture
 
 
 @pytest.mark.parametrize("n", [32, 64, 248])
@@ -250,7 +251,7 @@ def test_correlation_is_one_at_the_attitude_and_its_twin_the_same(view, seed):
     attitudes = np.stack([R, *(exp(rng.normal(size=3)) for _ in range(20))])
     q, d = seen.contrast.astype(float), directions(view)
     found = correlate(view, seen, picture, attitudes, len(q))
-    assert np.allclose(found, [twins.correlate(q, d, (picture.value, picture.weight), A) for A in attitudes], atol=2e-3)
+    assert np.allclose(found, [twins.correlate(q, d, picture[:2], A) for A in attitudes], atol=2e-3)
     assert found[0] > 0.97
     assert found[1:].max() < 0.7
     part = correlate(view, seen, picture, attitudes, 200)
@@ -266,7 +267,8 @@ def test_learning_has_the_mean_of_the_views_and_its_twin_the_same(view):
     least = np.where(rng.uniform(size=seen.odds.shape) < 0.1, -5.0, 0.0).astype(np.float32)
     offset = rng.normal(0.0, 0.1, seen.odds.shape).astype(np.float32)
     seen = seen._replace(counts=least, offset=offset)
-    picture = picture_of_cells(np.zeros((6, 32, 32)), np.full((6, 32, 32), 19.0))
+    picture = empty_picture(small)
+    picture.weight[:] = 19.0
     for R in (np.eye(3), exp(np.array([0.4, 0.2, -0.3]))):
         value, weight = twins.learn(small, seen, contrast, picture, R, 20.0)
         picture = learn(small, seen, contrast, picture, R, tiles)
@@ -298,7 +300,7 @@ def test_odds_tell_what_turns_from_what_stays_and_its_twin_the_same(view, turns)
     after = weigh(view, seen, picture, R, NOISE, 0.02)
     before = seen.mean, seen.odds, seen.offset
     q, d = seen.contrast.astype(float), directions(view)
-    mean, odds, offset = twins.weigh(q, d, (picture.value, picture.weight), R, before, NOISE, 0.02)
+    mean, odds, offset = twins.weigh(q, d, picture[:2], R, before, NOISE, 0.02)
     assert np.allclose(after.mean, mean, atol=1e-5)
     assert np.allclose(after.offset, offset, atol=1e-5)
     assert np.mean(np.isclose(after.odds, odds, atol=0.02)) > 0.99  # but at the limits
@@ -354,9 +356,8 @@ def test_wrong_arrays_are_named(view):
     for at, name in enumerate(("contrast", "direction", "odds", "offset")):
         wrong: Any = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
         with pytest.raises(TypeError, match=name):
-            kernels.correlate_texture(wrong, picture.bands, np.eye(3)[None], 10)
+            kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)
     with pytest.raises(TypeError, match="odds"):
-        kernels.correlate_texture((*samples[:2], seen.odds[1:], *samples[3:]), picture.bands, np.eye(3)[None], 10)
-    smaller = (picture.bands[0][:, 8:, 8:].copy(), *picture.bands[1:])
-    with pytest.raises(TypeError, match="bands"):
-        kernels.correlate_texture(samples, smaller, np.eye(3)[None], 10)
+        kernels.correlate_texture((*samples[:2], seen.odds[1:], *samples[3:]), picture[:2], np.eye(3)[None], 10)
+    with pytest.raises(TypeError, match="value, weight"):
+        kernels.correlate_texture(samples, (picture.value, picture.weight[:, 8:, 8:].copy()), np.eye(3)[None], 10)

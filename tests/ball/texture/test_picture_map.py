@@ -9,7 +9,7 @@ from spheremouse.ball.build import begin
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Found, NewMap, Recognised
 from spheremouse.ball.texture.method import TEXTURE
-from spheremouse.ball.texture.picture import anchor_directions, picture_of_cells
+from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.picture_map import PictureMap, look, resized, unfolded
 from spheremouse.ball.track import step
 from spheremouse.geometry.rotation import log
@@ -67,27 +67,27 @@ def test_the_same_picture_is_the_same_ball_and_others_are_not():
 
 def test_look_is_exact_at_the_cells_and_the_amount_is_that_of_the_sphere():
     picture = a_map(waves(3)).coarse
-    x = cell_directions(picture.cells)
+    x = cell_directions(picture.value.shape[1])
     value, weight = look(picture, x[:, 5:-5, 5:-5] * 3.0)  # the length is of no account
     np.testing.assert_allclose(value, picture.value[:, 5:-5, 5:-5], atol=1e-6)
     assert weight.min() == 20.0
     whole = a_map(waves(3))
     assert whole.amount == pytest.approx(100.0)
     part = np.where(x[..., 2] > 0.5, whole.coarse.weight, 0.0).astype(np.float32)  # a cap of a quarter of the sphere
-    assert replace(whole, coarse=picture_of_cells(whole.coarse.value, part)).amount == pytest.approx(25.0, abs=0.5)
+    assert replace(whole, coarse=whole.coarse._replace(weight=part)).amount == pytest.approx(25.0, abs=0.5)
 
 
 def test_an_unfolded_picture_has_y_above_z_in_the_middle_and_x_right_of_it():
     picture = a_map(plain).coarse
-    x = cell_directions(picture.cells)
+    x = cell_directions(picture.value.shape[1])
     for axis, row, column in ((1, 0, 180), (2, 90, 180), (0, 90, 270)):
-        spot = picture_of_cells(np.where(x[..., axis] > 0.9, 0.3, 0.0), picture.weight)
+        spot = picture._replace(value=np.where(x[..., axis] > 0.9, 0.3, 0.0).astype(np.float32))
         image = unfolded(spot, 360)
         assert image.shape == (180, 360, 3)
         assert (image[row, column] == image[row, column, 0]).all()
         assert image[row, column, 0] > 200
         assert image[179 - row, (column + 180) % 360, 0] == 128
-    nothing = unfolded(picture_of_cells(picture.value, np.zeros_like(picture.weight)), 360)
+    nothing = unfolded(picture._replace(weight=np.zeros_like(picture.weight)), 360)
     assert (nothing[..., 0] != nothing[..., 1]).all()
 
 
@@ -99,9 +99,9 @@ def test_a_picture_with_other_cells_shows_the_same(cells):
     x = np.random.default_rng(4).normal(size=(500, 3))
     before, after = (look(p, x)[0] for p in (picture, other))
     assert np.corrcoef(before, after)[0, 1] > 0.8
-    half = picture_of_cells(picture.value, np.where(np.arange(picture.cells) < 50, picture.weight, 0.0))
+    half = picture._replace(weight=np.where(np.arange(picture.value.shape[2]) < 50, picture.weight, 0.0))
     seen = resized(half, cells).weight[0, 0] > 0.0
-    edge = (50 * 2.0 / picture.cells - 1.0) * HALF
+    edge = (50 * 2.0 / picture.value.shape[2] - 1.0) * HALF
     at = (2.0 * (np.arange(cells) + 0.5) / cells - 1.0) * HALF
     assert not seen[at > edge + 0.01].any()
     assert seen[at < edge - 0.05].all()
