@@ -103,5 +103,6 @@ def detect_discs(
         frame.image, before, known @ predicted.attitude.T, motion, state.lookalikes.masks, least
     )
     if len(found) < least:
-        found = found.joined_apart(detector.detect(frame.image, search), 0.5 * detector.model.diameter)
+        learnt = search if state.known_to_turn else search._replace(size=0.0)  # bolts have a size, too
+        found = found.joined_apart(detector.detect(frame.image, learnt), 0.5 * detector.model.diameter)
     return found, search
