@@ -5,7 +5,7 @@ own pace (`spheremouse run --source dataset:FOLDER --realtime --output null`) an
 a Markdown table: latency from a frame's arrival to the end of the write to the output, and the stages in it, as the
 median and what 99 % stay below; the same latency as a share of the interval between frames; processor time as a share
 of a core after the start, of the thread that works on frames and of the whole process, which reads the film as well;
-resident memory at the end, of the process alone and with what other processes of the same program have in use as well.
+resident memory at the end, what the process has written and with the pages of files that it only reads.
 
 A recording is decoded before it arrives, so that the latency is that beyond decoding. Others on the machine count.
 """
@@ -26,7 +26,7 @@ from spheremouse.session.control.client import Client
 
 HEAD = (
     "recording", "frames/s", "latency", "detect", "filter", "of the interval", "of a core", "with the film", "MB",
-    "with what is shared",
+    "with files",
 )  # fmt: skip
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -40,10 +40,10 @@ def processor(pid: int) -> tuple[float, float]:
 
 
 def memory(pid: int) -> tuple[float, float]:
-    """MB resident: of the process alone, and with the pages of files that others have in use as well."""
+    """MB resident: what the process has written, and with the pages of files that any process may share."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
     kb = {line.split()[0]: float(line.split()[1]) for line in lines}
-    return (kb["Rss:"] - kb["Shared_Clean:"]) * 1.024e-3, kb["Rss:"] * 1.024e-3
+    return kb["Private_Dirty:"] * 1.024e-3, kb["Rss:"] * 1.024e-3
 
 
 def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dict[str, Any]]:
