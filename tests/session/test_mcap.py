@@ -130,7 +130,9 @@ def test_the_discs_of_the_scene_lie_where_the_annotations_are(exported):
     centres = np.array([np.mean([[p.x, p.y] for p in m.points], axis=0) for m in green])
     used = centres[distances(centres, np.array(targets)).min(axis=1) > 1.0]
     assert len(used) == exported.messages["/ball/1/sample"][-1]["statistics"]["discs_used"]
-    assert distances(used, projected + 0.5).min(axis=1).max() < 0.5  # px, from our pixel's centre to its corner
+    off = distances(used, projected + 0.5).min(axis=1)  # px, from our pixel's centre to its corner
+    assert np.median(off) < 0.25
+    assert off.max() < 3.0  # of a disc that a strut covers
 
 
 def test_a_wand_has_the_transforms_of_its_balls_in_cam(tmp_path):
