@@ -17,8 +17,8 @@ from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.detect.windows import ANYWHERE, Motion
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
-from spheremouse.evaluation.bound import distances, semi_minor_axes
-from spheremouse.geometry.matching import assign
+from spheremouse.evaluation.bound import semi_minor_axes
+from spheremouse.geometry.matching import assign, distances
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 

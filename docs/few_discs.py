@@ -29,10 +29,10 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Events, Tracker, Tracking, TrackState
 from spheremouse.ball.track import advance, step
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
-from spheremouse.evaluation.bound import MATCH, distances, semi_minor_axes
+from spheremouse.evaluation.bound import MATCH, semi_minor_axes
 from spheremouse.evaluation.detection import MIN_AXIS
 from spheremouse.evaluation.metrics import attitude_error, mean_nees
-from spheremouse.geometry.matching import assign
+from spheremouse.geometry.matching import assign, distances
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate

@@ -21,9 +21,9 @@ from experiments.kit.render import ATTITUDE, RATE, Part, Plot, Table, tidy, wher
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
-from spheremouse.evaluation.bound import MATCH, Sight, distances, posterior_bound
+from spheremouse.evaluation.bound import MATCH, Sight, posterior_bound
 from spheremouse.geometry.camera import project
-from spheremouse.geometry.matching import assign
+from spheremouse.geometry.matching import assign, distances
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.ball.profile import thesis

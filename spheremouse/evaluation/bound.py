@@ -20,7 +20,7 @@ from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.geometry.camera import Pose, project
-from spheremouse.geometry.matching import assign
+from spheremouse.geometry.matching import assign, distances
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
 
 # px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
@@ -48,11 +48,6 @@ def semi_minor_axes(centre: Array, rig: Rig, pose: Pose) -> Array:
     seen = appearance(directions, rig, pose)
     axes[index[seen.whole]] = np.sqrt(np.linalg.eigvalsh(seen.shape[seen.whole])[:, 0])
     return axes
-
-
-def distances(a: Array, b: Array) -> Array:
-    """Return the distances, (n, m) px, between points (n, 2) and (m, 2)."""
-    return np.linalg.norm(a[:, None] - b[None], axis=2)
 
 
 def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth) -> list[Sight]:

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
-from spheremouse.evaluation.bound import MATCH, distances
+from spheremouse.evaluation.bound import MATCH
 from spheremouse.evaluation.run import Run, number
-from spheremouse.geometry.matching import assign
+from spheremouse.geometry.matching import assign, distances
 from spheremouse.geometry.rotation import Array
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across

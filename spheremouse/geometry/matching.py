@@ -1,10 +1,15 @@
-"""Matching of points and numbers: assignment, mutual nearest neighbours, non-maximum suppression, membership."""
+"""Matching of points and numbers: distances, assignment, nearest neighbours, suppression, membership."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
+
+
+def distances(a: Array, b: Array) -> Array:
+    """Return the distances, (n, m), of points in a plane, (n, 2) and (m, 2)."""
+    return np.hypot(*(a[:, None] - b).T).T
 
 
 def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

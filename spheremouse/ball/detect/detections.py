@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.geometry.matching import distances
 from spheremouse.geometry.rotation import Array
 
 Image = NDArray[Any]  # (h, w, 3) BGR or (h, w), uint8; Any because OpenCV's stubs name no type
@@ -39,7 +40,7 @@ class Detections:
 
     def joined_apart(self, other: "Detections", distance: float) -> "Detections":
         """Return the entries, and those of `other` that are `distance` px or more from each of them."""
-        gap = np.linalg.norm(other.centre[:, None] - self.centre[None], axis=2).min(axis=1, initial=np.inf)
+        gap = distances(other.centre, self.centre).min(axis=1, initial=np.inf)
         return self.joined(other.take(gap >= distance))
 
 

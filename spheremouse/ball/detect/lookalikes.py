@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.matching import are_among, mutual_nearest
+from spheremouse.geometry.matching import are_among, distances, mutual_nearest
 from spheremouse.geometry.rotation import Array
 
 MOVED_PX = 2.0  # displacement by the ball's rotation that shows a static candidate: many times a centre's noise
@@ -40,11 +40,15 @@ class Candidates(NamedTuple):
 
     def take(self, keep: NDArray[np.bool_]) -> "Candidates":
         """Return the candidates in a mask, (t,)."""
+        if keep.all():
+            return self
         part: Any = [column[keep] for column in self]
         return Candidates(*part)
 
     def joined(self, other: "Candidates") -> "Candidates":
         """Return both."""
+        if len(other.place) == 0:
+            return self
         both: Any = [np.concatenate(pair) for pair in zip(self, other, strict=True)]
         return Candidates(*both)
 
@@ -77,7 +81,7 @@ def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDA
     if len(state.masks) == 0 or len(centre) == 0:
         return np.ones(len(centre), dtype=bool), state
     seen = state.mask_seen
-    near: Any = _distances(centre, state.masks) < MASK_RADIUS_PX
+    near: Any = distances(centre, state.masks) < MASK_RADIUS_PX
     hides = bool(near.any())
     if hides:
         seen = np.where(near.any(axis=0), stamp, seen)
@@ -89,6 +93,8 @@ def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDA
 
 def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistractors:
     """Add masks at (k, 2) px."""
+    if len(centre) == 0:
+        return state
     return replace(
         state,
         masks=np.concatenate([state.masks, centre]),
@@ -104,8 +110,6 @@ def without_landmarks(state: StaticDistractors, discs: Array, disc_angle: float)
 
 def without_candidates(state: StaticDistractors, numbers: NDArray[np.intp]) -> StaticDistractors:
     """Forget the candidates with these `numbers`, (k,)."""
-    if len(numbers) == 0:
-        return state
     return replace(state, candidates=state.candidates.take(~are_among(state.candidates.number, numbers)))
 
 
@@ -158,18 +162,14 @@ def classify_candidates(
     place[which], seen[which], known_proven[which] = centre[known], stamp, proven[known]
     keep = stamp - seen < _FORGET_AFTER_S
     keep[which[stands]] = False
-    followed = candidates._replace(place=place, seen=seen, proven=known_proven)
-    if not keep.all():
-        followed = followed.take(keep)
+    followed = candidates._replace(place=place, seen=seen, proven=known_proven).take(keep)
     at, count = centre[~known], len(centre) - len(which)
     number = np.zeros(len(centre), dtype=np.intp)
     number[known], number[~known] = candidates.number[which], state.next_number + np.arange(count)
-    if count > 0:
-        anchors, unproven = direction[~known] @ attitude, np.zeros(count, dtype=bool)
-        new = Candidates(at, at, anchors, np.full(count, stamp), unproven, number[~known])
-        followed = followed.joined(new)
-    state = replace(state, candidates=followed, next_number=state.next_number + count)
-    return proven, still, number, mask(state, centre[still], stamp) if still.any() else state
+    anchors, unproven = direction[~known] @ attitude, np.zeros(count, dtype=bool)
+    new = Candidates(at, at, anchors, np.full(count, stamp), unproven, number[~known])
+    state = replace(state, candidates=followed.joined(new), next_number=state.next_number + count)
+    return proven, still, number, mask(state, centre[still], stamp)
 
 
 def _classify_by_motion(centre: Array, first: Array, turned: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -203,10 +203,5 @@ def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> 
 
 def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
     """Return for each of `centre`, (n, 2) px, the index of a candidate that stayed or turned there, (n,); -1: none."""
-    nearer = np.minimum(_distances(centre, expected), _distances(centre, candidates.place))
+    nearer = np.minimum(distances(centre, expected), distances(centre, candidates.place))
     return mutual_nearest(np.where(nearer < _MATCH_PX, nearer, np.inf))
-
-
-def _distances(a: Array, b: Array) -> Array:
-    """Return the distances, (n, m), of points, (n, 2) and (m, 2)."""
-    return np.hypot(*(a[:, None] - b).T).T

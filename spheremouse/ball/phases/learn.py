@@ -18,6 +18,7 @@ from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
 from spheremouse.geometry.camera import project
+from spheremouse.geometry.matching import distances, mutual_nearest
 from spheremouse.geometry.rotation import Array, align, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
@@ -158,7 +159,7 @@ def _still_since(anchor: BufferedFrame, now: BufferedFrame, tracker: Tracker) ->
     """
     if len(anchor.points) < 3 or len(now.points) < 3:
         return None
-    distance = np.linalg.norm(now.centre[:, None] - anchor.centre[None], axis=2)
+    distance = distances(now.centre, anchor.centre)
     stayed = distance.min(axis=1) < STILL_PX
     left = distance.min(axis=0) >= STILL_PX
     spread = np.sqrt(np.trace(now.points.image_covariance, axis1=1, axis2=2) / 2.0) / tracker.rig.ball.radius
@@ -211,7 +212,7 @@ def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
     later = np.concatenate([view.centre for view in since])
     if len(anchor.points) == 0 or len(later) == 0:
         return len(later) > 0
-    gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= STILL_PX
+    gone = distances(anchor.centre, later).min(axis=1) >= STILL_PX
     return bool(np.count_nonzero(gone) > 0.5 * len(anchor.points))
 
 
@@ -229,10 +230,9 @@ def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: i
             _, before, now = np.intersect1d(views[-2].track, last.track, return_indices=True)
             step = last.centre[now] - views[-2].centre[before]
             expected[now] += step * (views[-1].stamp - views[-2].stamp < 0.1)
-        distance = np.linalg.norm(centre[:, None] - expected[None], axis=2)
-        nearest = distance.argmin(axis=1)
-        mutual = distance.argmin(axis=0)[nearest] == np.arange(len(centre))
-        same = mutual & (distance[np.arange(len(centre)), nearest] < 6.0)
+        distance = distances(centre, expected)
+        nearest = mutual_nearest(np.where(distance < 6.0, distance, np.inf))
+        same = nearest >= 0
         track[same] = last.track[nearest[same]]
     new = np.flatnonzero(track < 0)
     track[new] = next_track + np.arange(len(new))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spheremouse.calibrate.board import Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
+from spheremouse.geometry.matching import distances
 from spheremouse.geometry.rotation import Array
 
 MAX_SEARCHED_PX = 2.0e6  # px; larger images are reduced to it for the search
@@ -154,7 +155,7 @@ def _reach(pattern: Pattern) -> float:
 
 def _side(uv: Array) -> float:
     """Rough side of a square, px, by the nearest other corner."""
-    distance = np.linalg.norm(uv[:, None] - uv[None], axis=2)
+    distance = distances(uv, uv)
     return float(np.median(np.partition(distance, 1, axis=1)[:, 1])) if len(uv) > 1 else 0.0
 
 

@@ -19,7 +19,7 @@ from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
-from spheremouse.geometry.matching import mutual_nearest, suppress
+from spheremouse.geometry.matching import distances, mutual_nearest, suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 
@@ -155,7 +155,7 @@ def follow(spots: Sequence[Spots], width: int) -> list[Path]:
         expected = np.array([p.expected(k) for p in alive]).reshape(-1, 2)
         reach = np.array([(0.35 * gate + 2.0 if len(p.frame) > 1 else gate) * (k - p.frame[-1]) for p in alive])
         area = np.array([p.area[-1] for p in alive])
-        distance = np.linalg.norm(expected[:, None] - seen.centre[None], axis=2)
+        distance = distances(expected, seen.centre)
         unlike = np.abs(np.log(area[:, None] / np.maximum(seen.area[None], 1e-9))) > 0.7
         distance = np.where(unlike | (distance > reach[:, None]), np.inf, distance)
         columns = mutual_nearest(distance)
