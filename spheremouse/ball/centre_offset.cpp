@@ -1,6 +1,7 @@
 // The shift of the ball's centre that the discs of one frame show, as `centre_offset.py` describes it.
 #include <optional>
 
+#include "spheremouse/ball/filters/so3.h"
 #include "spheremouse/geometry/matching.h"
 #include "spheremouse/geometry/rotation.h"
 
@@ -9,20 +10,11 @@ namespace {
 
 constexpr double PRIOR = 0.1;   // radii, standard deviation of a shift before anything is seen
 constexpr double LEAST = 1e-9;  // 1/rad², information about a turn; both keep the equations solvable
-constexpr double PLACE =
-    5e-4;                  // rad, standard deviation of a disc's place on the map and in the picture, in every view
-constexpr int FEWEST = 4;  // pairs, since any shift fits three
+constexpr int FEWEST = 4;       // pairs, since any shift fits three
+// rad, standard deviation of a disc's place on the map and in the picture that no view removes
+constexpr double PLACE_SIGMA = 5e-4;
 
-/// Points of a frame, and how an error of the rig moves their directions.
-struct Points {
-    View<Dynamic, 3> direction;
-    View<Dynamic, 9> covariance;              // m²
-    Eigen::Map<const Vector<Dynamic>> delay;  // s
-    View<Dynamic, 12> ddirection_drig;        // (3, 4) of focal length and centre, rad and rad/m
-    double radius;                            // m
-};
-
-struct Discs {
+struct KnownDiscs {
     Matrix<Dynamic, 3> place;  // obj
     Eigen::Map<const Vector<Dynamic>> variance;
     Vector<3> rate;
@@ -36,7 +28,7 @@ struct Offset {
 };
 
 /// Return the offset by least squares over turn and shift, if it has a solution.
-std::optional<Offset> offset(const Points& points, const Discs& discs, double reach) {
+std::optional<Offset> offset(const Points& points, const KnownDiscs& discs, double reach) {
     const Matrix<Dynamic> cosine = points.direction * discs.place.transpose();
     const std::vector<int> column =
         mutual_nearest((cosine.array() > std::cos(reach)).select(1.0 - cosine.array(), HUGE_VAL));
@@ -52,9 +44,9 @@ std::optional<Offset> offset(const Points& points, const Discs& discs, double re
         // the place when the row was exposed
         const Vector<3> z = points.direction.row(i).transpose() - p - points.delay(i) * discs.rate.cross(p);
         Matrix<3, 6> A;
-        A << -hat(p), -points.radius * View<3, 4>(points.ddirection_drig.row(i).data()).rightCols<3>();
-        Matrix<3> C = View<3, 3>(points.covariance.row(i).data()) / (points.radius * points.radius);
-        C.diagonal().array() += discs.variance(column[size_t(i)]) + PLACE * PLACE;
+        A << -hat(p), -points.radius * points.by_rig(i).rightCols<3>();
+        Matrix<3> C = points.noise(i);
+        C.diagonal().array() += discs.variance(column[size_t(i)]) + PLACE_SIGMA * PLACE_SIGMA;
         const Matrix<3> W = C.inverse();
         N += A.transpose() * W * A;
         right += A.transpose() * W * z;
@@ -76,16 +68,15 @@ std::optional<Offset> offset(const Points& points, const Discs& discs, double re
 }
 
 nb::object shift_of(nb::tuple points_, nb::handle delay, nb::tuple discs_, double reach) {
-    members(points_, 7, "points");
     members(discs_, 4, "discs");
-    const Points points{matrix<Dynamic, 3>(points_[0], "direction"), matrices<3, 3>(points_[1], "noise"),
-                        vector(delay, "delay"), matrices<3, 4>(points_[4], "ddirection_drig"),
-                        number<double>(points_[5], "points")};
-    for (nb::ssize_t n : {points.covariance.rows(), points.delay.size(), points.ddirection_drig.rows()})
-        if (n != points.direction.rows()) throw nb::type_error("points: must have one length");
+    Points points = read_points(points_);
+    const auto late = vector(delay, "delay");
+    if (late.size() != points.size()) throw nb::type_error("delay: must have the length of points");
+    points.delay = late;
     const auto directions = matrix<Dynamic, 3>(discs_[0], "directions");
     const Matrix<3> attitude = matrix<3, 3>(discs_[2], "attitude");
-    const Discs discs{directions * attitude.transpose(), vector(discs_[1], "variance"), vector<3>(discs_[3], "rate")};
+    const KnownDiscs discs{directions * attitude.transpose(), vector(discs_[1], "variance"),
+                           vector<3>(discs_[3], "rate")};
     if (discs.variance.size() != directions.rows())
         throw nb::type_error("variance: must have the length of directions");
     const auto r = offset(points, discs, reach);

@@ -297,6 +297,8 @@ _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joi
 _Pairs = tuple[_Index, _Index, bool, float]  # as `so3.Pairing`
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 
+MOST_DOUBT: float
+
 def take_up(body: _Body, points: _Points, which: _Index, moves: bool) -> tuple[_Float, _Float, _Float]:
     """Take up the points `which`, (k,), as landmarks: places, (k, 3) in ball, axes, (k, 3, 2), and all of `joint`.
 

@@ -60,14 +60,16 @@ struct Motion {
 
 Motion read_motion(nb::handle motion);
 
+constexpr double SMEARED = 2.0;  // px, way of a disc during the exposure
+
 /// A disc's image to be fitted.
 struct Expected {
     Vector<2> place;  // px, where the fit begins
     Shape shape;
     Vector<7> path;  // motion during the exposure: way, half of its curvature, px; change of shape^-1, px^-2
 
-    /// Return whether the way is so long that it lightens a part of the disc as a cover does: 2 px.
-    bool is_smeared() const { return path.head<2>().norm() > 2.0; }
+    /// Return whether the way is so long that it lightens a part of the disc as a cover does.
+    bool is_smeared() const { return path.head<2>().norm() > SMEARED; }
 };
 
 /// The result of a fit; without `ok` the numbers are meaningless.

@@ -114,7 +114,7 @@ bool expect_at_fit(const Photo& photo, const DiscModel& model, const Vector<3>& 
 /// fit that ends far from its place again and again slides along an edge. With `any_start`, a start may be so wrong
 /// that the first fit is no disc. A smeared disc that is far from its place has another way, too, and has one fit.
 std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
-                              bool any_start, std::vector<Disc>& discs, std::vector<Expected>& expected,
+                              bool any_start, std::vector<Disc>& discs, std::vector<Expected> expected,
                               Common& common) {
     const Common before = common;
     std::vector<Fit> fits = fit_discs(photo, expected, model.fit, contrast, common);
@@ -132,13 +132,15 @@ std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const 
     }
 }
 
-/// Return the discs with their centres in place of their centroids; `places` are the expected ones of the centroids.
-std::vector<Measured> at_centres(std::vector<Disc>& discs, const std::vector<Fit>& fits,
-                                 const std::vector<Vector<2>>& places, const DiscModel& model) {
+/// Fit discs in place, and move their centroids to their centres.
+std::vector<Measured> fit_all(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
+                              bool any_start, std::vector<Disc>& discs, const std::vector<Expected>& expected,
+                              Common& common) {
+    const std::vector<Fit> fits = fit_in_place(photo, model, rate, contrast, any_start, discs, expected, common);
     for (size_t i = 0; i < discs.size(); i++) {
         discs[i].fit = fits[i];
-        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;        // the eccentricity
-        const double beside = (fits[i].centroid - places[i]).norm() / model.diameter;  // of the expected place
+        discs[i].fit.centroid -= discs[i].seen.centroid - discs[i].seen.centre;                // the eccentricity
+        const double beside = (fits[i].centroid - expected[i].place).norm() / model.diameter;  // of the expected place
         discs[i].fit.covariance += (repeats(discs[i].moved + beside) - 1.0) * fits[i].by_cover;
     }
     return best_of(discs, APART * model.diameter);
@@ -163,25 +165,21 @@ std::vector<Measured> measure(const Photo& photo, const Directions& directions, 
                               const Motion& motion, Common& common) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
-    std::vector<Vector<2>> places;
     for (nb::ssize_t i = 0; i < directions.rows(); i++) {
         const Vector<3> direction = at_readout(model.view, directions.row(i), motion);
         const Appearance seen = appearance(model.view, direction);
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
         discs.push_back({seen, moved(model.view, direction, motion), {}});
         expected.push_back({seen.centroid, seen.shape, path_of(model, direction, seen.centre, motion.rate)});
-        places.push_back(seen.centroid);
     }
     const double contrast = EXPECTED * std::max(model.fit.contrast, common.contrast);
-    const std::vector<Fit> fits = fit_in_place(photo, model, motion.rate, contrast, false, discs, expected, common);
-    return at_centres(discs, fits, places, model);
+    return fit_all(photo, model, motion.rate, contrast, false, discs, expected, common);
 }
 
 std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vector<2>>& places, const DiscModel& model,
                                      Common common) {
     std::vector<Disc> discs;
     std::vector<Expected> expected;
-    std::vector<Vector<2>> starts;
     for (const Vector<2>& place : places) {
         const Hit hit = first_hit(model.view, unproject(model.view.camera, place).place);
         if (!hit.met) continue;
@@ -189,13 +187,10 @@ std::vector<Measured> measure_places(const Photo& photo, const std::vector<Vecto
         if (!(seen.area >= model.min_area) || !is_inside(seen, photo.mask)) continue;
         discs.push_back({seen, std::numeric_limits<double>::infinity(), {}});
         expected.push_back({place, seen.shape, Vector<7>::Zero()});
-        starts.push_back(place);
     }
     const double contrast = std::max(model.fit.contrast, UNEXPECTED * common.contrast);
     const bool any_start = common.size > 0.0;  // else the size separates discs from other dark spots
-    const std::vector<Fit> fits =
-        fit_in_place(photo, model, Vector<3>::Zero(), contrast, any_start, discs, expected, common);
-    return at_centres(discs, fits, starts, model);
+    return fit_all(photo, model, Vector<3>::Zero(), contrast, any_start, discs, expected, common);
 }
 
 void bind_windows(nb::module_& m) {

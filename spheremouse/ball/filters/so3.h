@@ -12,7 +12,6 @@ using Dense = Matrix<Dynamic>;
 using Indices = std::vector<int>;
 using Noise = Matrix<CORE>;    // process noise that the covariance does not include yet
 using Each = Vector<Dynamic>;  // a value for each disc
-using Discs = Eigen::Ref<const Matrix<Dynamic, 3>>;
 
 /// The ball as the filter predicts it: `So3State.body`.
 struct Body {
@@ -75,6 +74,9 @@ constexpr int FIXED = MAP_OFFSET;  // errors on which the place of a disc depend
 
 /// Return d z / d (rotation, rate, acceleration, rig, axes, readout) of the point i.
 Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place);
+
+/// Return the columns of A, (m, n), of the errors in the order of the Jacobian.
+Matrix<Dynamic, FIXED> fixed_columns(const Dense& A, const Body& body);
 
 /// The innovations of k pairs.
 struct Innovation {
@@ -151,6 +153,9 @@ struct Viewer {
 };
 
 Body read_body(nb::tuple body);
+
+/// Read the points as measured.
+Points read_points(nb::tuple points);
 
 /// Read the points as seen with the rig and the readout of `body`.
 Points read_points(nb::tuple points, const Body& body);

@@ -24,6 +24,7 @@ from spheremouse.ball.filters.so3_motion import (
 from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import (
     PERSISTENCE_S,
+    Activity,
     So3Settings,
     activity_of,
     squared_levels,
@@ -218,10 +219,7 @@ class So3Filter:
 
         If pairs are not complete, those that lie in their places only after the correction take part, too.
         """
-        camera, activity = (self.station.towards, self.station.horizon), activity_of(self.settings)
-        given, pairs, certain = kernels.update_by_frame(
-            state.body, self._measurement(state, points), camera, state.pending, activity
-        )
+        given, pairs, certain = kernels.update_by_frame(*self._frame(state, points))
         pairing = Pairing(*pairs)
         corrected = _with_twist(_corrected(state, given, pairing), pairing)
         if pairing.complete:
@@ -234,10 +232,12 @@ class So3Filter:
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
         """Return the pairs of least total distance, at the most likely level at which most points pair."""
+        return Pairing(*kernels.nearest_pairs(*self._frame(state, points)))
+
+    def _frame(self, state: So3State, points: SpherePoints) -> tuple[Any, Any, tuple[Array, float], Any, Activity]:
+        """Return state, points, camera and settings as `kernels` pairs them."""
         camera, activity = (self.station.towards, self.station.horizon), activity_of(self.settings)
-        return Pairing(
-            *kernels.nearest_pairs(state.body, self._measurement(state, points), camera, state.pending, activity)
-        )
+        return state.body, self._measurement(state, points), camera, state.pending, activity
 
     def _others_agree(self, corrected: So3State, points: int) -> bool:
         """Return whether the pairs beyond the first two are significant, given the attitude from those two.

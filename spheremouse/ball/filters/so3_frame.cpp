@@ -20,9 +20,11 @@ bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& vie
     return (distance.array() < gate).any();
 }
 
-/// Return whether one of the points falls by chance into the gate of a disc, given the other pairs.
-bool pairs_by_chance(const Pairs& pairs, const Points& points, const Viewer& viewer, double gate) {
-    return points.size() * gate * pairs.widest > 2.0 * RARE * (1.0 - viewer.horizon);
+/// Return whether a point falls into the gate of a disc by chance in under a thousandth of the frames.
+///
+/// `area`, rad², is the root of the determinant of the covariance of the disc's place.
+bool is_rare(double area, const Points& points, const Viewer& viewer, double gate) {
+    return points.size() * gate * area < 2.0 * RARE * (1.0 - viewer.horizon);
 }
 
 /// Return whether pairs show half of the discs or more in their places, without another possible pair.
@@ -30,7 +32,7 @@ bool are_ordinary(const Body& body, const Points& points, const Viewer& viewer, 
                   const Pending& pending, const Activity& activity) {
     const int k = int(pairs.rows.size());
     if (!(pairs.plain && pairs.in_place && 2 * k >= pairs.possible)) return false;
-    if (pairs_by_chance(pairs, points, viewer, activity.gate)) return false;
+    if (!is_rare(pairs.widest, points, viewer, activity.gate)) return false;
     const double most = activity.squares().maxCoeff();
     return k == pairs.possible || !pairs_if_livelier(body, points, viewer, pairs, pending.added(most), activity.gate);
 }
@@ -44,8 +46,7 @@ bool are_known_well(const Body& body, const Points& points, const Viewer& viewer
     const Noise added = pending.added(pending.weights.dot(activity.squares()));
     double widest = 0.0;
     for (int k : pairs.columns) widest = std::max(widest, place_variance(body, k, added));
-    const double gate = activity.gate * (widest + POINT_SIGMA * POINT_SIGMA);
-    return points.size() * gate < 2.0 * RARE * (1.0 - viewer.horizon);
+    return is_rare(widest + POINT_SIGMA * POINT_SIGMA, points, viewer, activity.gate);
 }
 
 nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,

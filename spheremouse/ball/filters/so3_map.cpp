@@ -39,11 +39,9 @@ Found take_up(const Body& body, const Points& points, const Indices& which, bool
     Dense fixed(FIXED, old);  // the rows of P in the order of G
     fixed << body.P.topRows<READOUT>(), body.P.row(body.readout_row());
     const Dense GP = G * fixed;
-    Matrix<Dynamic, FIXED> own(2 * k, FIXED);
-    own << GP.leftCols<READOUT>(), GP.col(body.readout_row());
     r.joint.topLeftCorner(n, n) = body.P.topLeftCorner(n, n);
     r.joint.block(n, 0, 2 * k, n) = GP.leftCols(n);
-    r.joint.block(n, n, 2 * k, 2 * k) = own * G.transpose() + noise;
+    r.joint.block(n, n, 2 * k, 2 * k) = fixed_columns(GP, body) * G.transpose() + noise;
     r.joint.bottomRows<CLONE>() << body.P.bottomLeftCorner(CLONE, n), GP.rightCols<CLONE>().transpose(),
         body.P.bottomRightCorner<CLONE, CLONE>();
     r.joint.triangularView<Eigen::StrictlyUpper>() = r.joint.transpose();
@@ -60,6 +58,7 @@ nb::tuple take_up_(nb::tuple body_, nb::tuple points_, nb::handle which_, bool m
 }  // namespace
 
 void bind_so3_map(nb::module_& m) {
+    m.attr("MOST_DOUBT") = MOST_DOUBT;
     m.def("take_up", &take_up_, arg("body"), arg("points"), arg("which"), arg("moves"));
 }
 

@@ -155,6 +155,12 @@ Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const P
     return J;
 }
 
+Matrix<Dynamic, FIXED> fixed_columns(const Dense& A, const Body& body) {
+    Matrix<Dynamic, FIXED> columns(A.rows(), FIXED);
+    columns << A.leftCols<READOUT>(), A.col(body.readout_row());
+    return columns;
+}
+
 Body read_body(nb::tuple body) {
     members(body, 11, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
@@ -170,7 +176,7 @@ Body read_body(nb::tuple body) {
     return r;
 }
 
-Points read_points(nb::tuple points, const Body& body) {
+Points read_points(nb::tuple points) {
     members(points, 7, "points");
     const auto row = vector(points[3], "row");
     Points r{Matrix<Dynamic, 3>(matrix<Dynamic, 3>(points[0], "direction")),
@@ -181,7 +187,12 @@ Points read_points(nb::tuple points, const Body& body) {
              number<double>(points[5], "points")};
     for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.ddirection_drig.rows()})
         if (n != r.size()) throw nb::type_error("points: must have one length");
-    if (body.readout != 0.0) r.delay += body.readout * row;
+    return r;
+}
+
+Points read_points(nb::tuple points, const Body& body) {
+    Points r = read_points(points);
+    if (body.readout != 0.0) r.delay += body.readout * r.row;
     const Vector<RIG_DIM> change = body.rig - vector<RIG_DIM>(points[6], "rig");
     if (change.squaredNorm() > 0.0)
         for (int i = 0; i < r.size(); i++)
@@ -271,8 +282,7 @@ Innovation innovation(const Body& body, const Points& points, const Pairs& pairs
     }
     r.H = J.leftCols<CORE>();
     add_product(J.data(), body.P.data(), body.readout_row(), 2 * k, n, r.HP.data());
-    Matrix<Dynamic, FIXED> fixed(2 * k, FIXED);
-    fixed << r.HP.leftCols<READOUT>(), r.HP.col(body.readout_row());
+    const Matrix<Dynamic, FIXED> fixed = fixed_columns(r.HP, body);
     for (int i = 0; i < 2 * k; i++)
         for (int j = 0; j <= i; j++) {
             const double noise = i / 2 == j / 2 ? r.S(i, j) : 0.0;

@@ -13,6 +13,8 @@
 namespace spheremouse::ball {
 namespace {
 
+using Discs = Eigen::Ref<const Matrix<Dynamic, 3>>;
+
 constexpr double PLACED = 0.1;        // rad, standard deviation: a third of the way between neighbours of fifty discs
 constexpr double HIDDEN_SHARE = 0.2;  // of the discs that face the camera: struts and hands before them
 constexpr double DETECTED = 0.95;     // probability that a disc is detected that nothing hides
