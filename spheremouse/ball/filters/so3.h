@@ -43,7 +43,8 @@ struct Points {
     Each delay;                   // s, with the estimated readout
     Eigen::Map<const Each> row;
     View<Dynamic, 3 * RIG_DIM> ddirection_drig;
-    double radius;  // m
+    double radius;        // m
+    Vector<RIG_DIM> rig;  // estimated errors of the rig that the directions include
 
     int size() const { return int(direction.rows()); }
 

@@ -184,7 +184,8 @@ Points read_points(nb::tuple points) {
              vector(points[2], "delay"),
              row,
              matrices<3, RIG_DIM>(points[4], "ddirection_drig"),
-             number<double>(points[5], "points")};
+             number<double>(points[5], "points"),
+             vector<RIG_DIM>(points[6], "rig")};
     for (nb::ssize_t n : {r.covariance.rows(), r.delay.size(), row.size(), r.ddirection_drig.rows()})
         if (n != r.size()) throw nb::type_error("points: must have one length");
     return r;
@@ -193,7 +194,7 @@ Points read_points(nb::tuple points) {
 Points read_points(nb::tuple points, const Body& body) {
     Points r = read_points(points);
     if (body.readout != 0.0) r.delay += body.readout * r.row;
-    const Vector<RIG_DIM> change = body.rig - vector<RIG_DIM>(points[6], "rig");
+    const Vector<RIG_DIM> change = body.rig - r.rig;
     if (change.squaredNorm() > 0.0)
         for (int i = 0; i < r.size(); i++)
             r.direction.row(i) = (r.direction.row(i).transpose() + r.by_rig(i) * change).normalized();
