@@ -132,7 +132,7 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             rig.readout_sigma_s,
             rig.camera.focal_sigma,
             pose.by_focal,
-            pose.depth(rig.ball.centre),
+            pose.along_axis(rig.ball.centre),
         )
         stage = So3Filter(settings.so3, station, detector.landmark_angle(rig))
     else:

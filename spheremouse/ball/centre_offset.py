@@ -22,9 +22,9 @@ class CentreOffset:
     """Fit of a rotation and a shift to the discs of one frame."""
 
     pairs: int
-    shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
-    covariance: Array  # (3, 3) m²
-    mahalanobis: float  # standard deviations
+    shift: Array  # (3,) m, obj, of the ball's centre from its assumed place
+    covariance: Array  # (3, 3) m², with a prior of 0.1 radii
+    mahalanobis: float  # of `shift` from zero, with `covariance`
     chi2_rotation: float  # chi-square of the directions with a rotation alone, per degree of freedom
     chi2_with_offset: float  # the same with the shift
 
@@ -51,14 +51,15 @@ class KnownDiscs(NamedTuple):
 def shift_of(points: SpherePoints, delay: Array, discs: KnownDiscs, radius: float, reach: float) -> CentreOffset | None:
     """Return the shift of the centre that makes known discs appear at `points`.
 
-    `delay` (n,) s is that of the points. A point and a disc belong together if each is the other's nearest, within
-    `reach` rad. Returns None if fewer than four discs are seen, since any shift fits three, or all in one place.
+    `delay` (n,) s, from stamp to exposure with the estimated readout, replaces that of `points`. A point and a disc
+    pair if each is the other's nearest, within `reach` rad. Returns None with fewer than four pairs, since any shift
+    fits three, or with all in one place.
     """
     found = kernels.shift_of(points.measurement(radius), delay, discs, reach)
     return None if found is None else CentreOffset(*found)
 
 
 def fits(found: CentreOffset, radius: float, lifted: float) -> bool:
-    """Return True if the discs fit a rotation of a ball of `radius` m about its centre; `lifted` in radii."""
+    """Return False if a significant shift exceeds half of `lifted` radii (`radius`, m), or a rotation fits badly."""
     far = found.distance > 0.5 * lifted * radius and found.mahalanobis > _MAX_INSIGNIFICANT_SIGMAS
     return not far and found.chi2_rotation < MISFIT

@@ -127,7 +127,7 @@ def in_axes(rig: Rig, pose: Pose, rotation: Array) -> tuple[Rig, Pose]:
 
 def found_from_picture(pose: Pose, centre: Array) -> Pose:
     """Return a pose that pictures of the ball at `centre`, (3,) m, determined: a longer focal length moves it back."""
-    return replace(pose, by_focal=np.concatenate([-pose.depth(centre), np.zeros(3)]))
+    return replace(pose, by_focal=np.concatenate([-pose.along_axis(centre), np.zeros(3)]))
 
 
 def considered_covariance(pose: Pose, ball: Ball) -> Array:

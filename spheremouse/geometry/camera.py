@@ -89,7 +89,7 @@ class Pose:
         """Transform points (..., 3) m from `obj` to `cam`."""
         return (points - self.position) @ self.rotation
 
-    def depth(self, point: Array) -> Array:
+    def along_axis(self, point: Array) -> Array:
         """Return the part along the optical axis, (3,) m in `obj`, of the way from the camera to a point (3,) m."""
         axis = self.rotation[:, 2]
         return axis * (axis @ (point - self.position))

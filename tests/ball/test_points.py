@@ -94,7 +94,7 @@ def central_differences(f, n, h):
 
 def test_directions_change_with_the_rig_as_finite_differences_do():
     """A longer focal length comes with a ball farther away along the optical axis, and with other axes of obj."""
-    seen, depth, turn = detections(to_pixels(places())), POSE.depth(BALL.centre), np.array([0.2, -0.1, 0.3])
+    seen, depth, turn = detections(to_pixels(places())), POSE.along_axis(BALL.centre), np.array([0.2, -0.1, 0.3])
     pose = replace(POSE, by_focal=np.append([0.5, 0.6, 0.7], turn))
 
     def changed(e):

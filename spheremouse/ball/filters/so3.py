@@ -164,7 +164,7 @@ class So3Filter:
         return self.station.towards, self.station.horizon, state.joint[:3, :3].copy()
 
     def gate_radius(self, state: So3State, which: NDArray[np.intp], interval: float) -> Array:
-        """Return the radius, (k,) rad, of the gates of the discs `which`, along the worse axis of each."""
+        """Return the radius, (k,) rad, of the gates of discs in `interval` s, along the worse axis of each."""
         sigma = self.place_sigma(self.predict(state, state.stamp + interval), which)
         return np.sqrt(self.settings.gate * (sigma**2 + _POINT_SIGMA**2))
 
@@ -202,9 +202,8 @@ class So3Filter:
     ) -> So3State | None:
         """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
-        `may_start_landmark` is a mask (n,) of the points that may become discs. Pairs are certain if one of three
-        conditions holds:
-        - each pair alone is certain, as `kernels.update_by_frame` states it,
+        `may_start_landmark` is as in `keep_map`. Pairs are certain if one of three conditions holds:
+        - the pairs are ordinary or known well (`so3_frame.cpp`),
         - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
@@ -215,9 +214,9 @@ class So3Filter:
         return self.keep_map(corrected, points, pairing, may_start_landmark) if certain else None
 
     def _corrected_by_frame(self, state: So3State, points: SpherePoints) -> tuple[So3State, Pairing, bool]:
-        """Return the state corrected by the nearest pairs of a frame, the pairs, and whether each is certain.
+        """Return the state corrected by the nearest pairs of a frame, the pairs, and whether the first are certain.
 
-        If pairs are not complete, those that lie in their places only after the correction take part, too.
+        If the first are not complete, pairs that lie in their places only after the correction take part, too.
         """
         given, pairs, certain = kernels.update_by_frame(*self._frame(state, points))
         pairing = Pairing(*pairs)
@@ -249,7 +248,7 @@ class So3Filter:
         ways = 0.5 * points * (points - 1) * len(which) * (len(which) - 1)
         return ways * poisson_tail(len(corrected.used) - 3, self._expected_by_chance(sigma, points)) < _RARE
 
-    def candidate_distances(
+    def distances_to_discs(
         self, state: So3State, points: SpherePoints, gate: float, widest: bool = False
     ) -> tuple[Array, NDArray[np.intp]]:
         """Return squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and those.
@@ -315,7 +314,8 @@ class So3Filter:
     ) -> So3State:
         """Count sightings, drop discs that were missed too often in a row, and add points as new discs.
 
-        `may_start_landmark` is a mask (n,) of the points that may become discs; None: all.
+        `may_start_landmark` is a mask (n,) of the points that may become discs; None: all. A new point in a candidate's
+        gate makes that candidate a disc.
         """
         (hits, missed, hidden), keep, known_seen, known_missed = kernels.count_sightings(
             state.attitude,
@@ -334,7 +334,7 @@ class So3Filter:
         state = drop(state, keep)
         new = new[: self._room(state)]
         if len(new) and len(state.candidates) and state.is_placed:  # else no place identifies a candidate
-            squared = self._candidate_distances(state, points, new, np.arange(len(state.candidates)))
+            squared = self._distances_to_candidates(state, points, new, np.arange(len(state.candidates)))
             rows, which = assign(squared, self.settings.gate)
             state = self._promoted(state, points, new[rows], which)
             new = np.delete(new, rows)
@@ -351,13 +351,13 @@ class So3Filter:
         if (turning & known).any():
             rows = seen.rows[turning & known]
             which = np.argmax(state.candidates == seen.numbers[turning & known, None], axis=1)
-            in_place = self._candidate_distances(state, points, rows, which).diagonal() < self.settings.gate
+            in_place = self._distances_to_candidates(state, points, rows, which).diagonal() < self.settings.gate
             state = self._promoted(state, points, rows[in_place], which[in_place])
         state = augment(state, points, seen.rows[turning & ~known], self.station.radius)
         new = np.flatnonzero(~seen.turning & ~known)[: max(_MOST_CANDIDATES - len(state.candidates), 0)]
         return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.station.radius)
 
-    def _candidate_distances(
+    def _distances_to_candidates(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]
     ) -> Array:
         """Return squared Mahalanobis distances, (k, c), of the points `rows` to the candidates `which`."""

@@ -14,7 +14,7 @@ from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.native import kernels
 
-_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
+_MAX_SAVED_HITS = 60  # largest count of sightings that a saved disc starts with: it stays for 300 misses in a row
 _NONE = np.zeros(0, dtype=np.intp)
 
 
@@ -29,7 +29,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
 def with_candidates(
     state: So3State, points: SpherePoints, index: NDArray[np.intp], numbers: NDArray[np.intp], radius: float
 ) -> So3State:
-    """Take up the points `index`, (k,), on a ball of `radius` m as candidates with `numbers`, (k,)."""
+    """Take up the points `index`, (k,), on a ball of `radius` m as candidates; `numbers` (k,) are of look-alikes."""
     if len(index) == 0:
         return state
     measurement, moves = points.measurement(radius), bool(state.centre_noise > 0.0)
@@ -43,8 +43,8 @@ def with_candidates(
     )
 
 
-def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3State:
-    """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
+def with_map(state: So3State, known: DiscMap, most: int = _MAX_SAVED_HITS) -> So3State:
+    """Return the state with a saved map's discs in place of its own. `most` limits their counts of sightings."""
     m, first = len(known), state.map_row
     joint = np.zeros((first + 2 * m + CLONE_DIM, first + 2 * m + CLONE_DIM))
     joint[:first, :first] = state.joint[:first, :first]
@@ -63,7 +63,7 @@ def with_map(state: So3State, known: DiscMap, most: int = _REMEMBERED) -> So3Sta
 
 
 def to_map(state: So3State, least: int) -> DiscMap | None:
-    """Return the discs seen at least so often, as files keep them; None with fewer than four."""
+    """Return the discs with `least` sightings or more, with axes by `tangent_basis`; None with fewer than four."""
     keep = state.hits >= least
     if np.count_nonzero(keep) < 4:
         return None

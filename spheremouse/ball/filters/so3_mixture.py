@@ -93,7 +93,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
     """
     density = math.log(new_density(filter_, predicted, len(points)))
     gate = _WIDE_GATE * filter_.settings.gate
-    distance, which = filter_.candidate_distances(predicted, points, gate, widest=True)
+    distance, which = filter_.distances_to_discs(predicted, points, gate, widest=True)
     choices = np.count_nonzero(distance < gate, axis=1)
     choices[np.argsort(np.where(choices > 0, choices, len(which) + 1), kind="stable")[_MAX_SEARCHED:]] = 0
     nodes = [_Node((), (), filter_.correct(predicted, points, _pairing((), ()))[0], 0.0)]
@@ -105,7 +105,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
                 continue
             near, among = distance[row], which
             if len(node.rows) > 0:
-                one, closer = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
+                one, closer = filter_.distances_to_discs(node.state, points.take(np.array([row])), gate)
                 if np.any(one < gate):  # else a push may explain what the node's own motion does not
                     near, among = one[0], closer
             nearest = np.argsort(near)[:most]

@@ -19,19 +19,19 @@ class Station:
     """A camera's place, which determines the visible discs, and the errors of its rig."""
 
     towards: Array  # (3,) unit vector from the ball's centre to the camera, obj
-    horizon: float  # least cosine with it of a disc that can be seen
+    horizon: float  # radius over distance: least cosine with it of a visible disc
     radius: float  # m, of the ball
-    considered: Array = field(default_factory=lambda: np.zeros((10, 10)))  # m, rad: errors of pose, centre, radius
+    considered: Array = field(default_factory=lambda: np.zeros((10, 10)))  # covariance of pose, centre, radius
     readout_sigma: float = 0.0  # s, of the rolling shutter's time
     focal_sigma: float = 0.0  # relative, of the focal length
     pose_by_focal: Array = field(default_factory=lambda: np.zeros(6))  # m, rad: as `Pose.by_focal` has it
-    depth: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, of the ball along the optical axis
+    along_axis: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, from the camera to the ball's depth
 
     def common_by_pose_and_ball(self) -> Array:
         """Return the matrix, (7, 10), from errors of pose, centre and radius to those of the rig and the axes.
 
         A picture depends on the camera's axes, and on its place seen from the ball's centre, in radii. So ten errors
-        act like six: a shift of the centre (3, m), and a turn of the axes of obj (3, rad).
+        act like six. The rows are focal length (zero), centre (3, m), and turn of the axes of obj (3, rad).
         """
         towards = self.towards / self.horizon  # radii
         A = np.zeros((7, 10))
@@ -46,7 +46,7 @@ class Station:
         the turn of the axes.
         """
         by_pose = self.common_by_pose_and_ball()[:RIG_DIM, :6]
-        return np.concatenate([[1.0], -self.depth]) + by_pose @ self.pose_by_focal
+        return np.concatenate([[1.0], -self.along_axis]) + by_pose @ self.pose_by_focal
 
     def covariance(self) -> Array:
         """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
@@ -71,7 +71,7 @@ class Station:
         return A[:, :6] @ C[:6, 6:] @ np.linalg.pinv(C[6:, 6:], hermitian=True) + A[:, 6:]
 
     def covariance_by_tape(self) -> Array:
-        """Return the covariance, (4, 4), of a rig with a radius and a focal length by tape.
+        """Return the covariance, (4, 4), that a radius and a focal length by tape add to that of the rig.
 
         An error of the radius shifts the centre along the line of sight. With a wrong focal length, pictures place the
         camera so that the ball has its place and size.

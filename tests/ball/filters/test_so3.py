@@ -592,7 +592,7 @@ def test_a_gate_holds_every_point_that_would_be_paired_and_is_no_wider_than_its_
         p = predicted.attitude @ predicted.discs[k]
         around = (tangent_basis(p) @ [np.cos(turn), np.sin(turn)]).T
         inside, outside = (
-            OWN.candidate_distances(predicted, points_at(p + f * r * around, 2e-3), 1e3) for f in (0.97, 1.03)
+            OWN.distances_to_discs(predicted, points_at(p + f * r * around, 2e-3), 1e3) for f in (0.97, 1.03)
         )
         column = np.flatnonzero(inside[1] == k)[0]
         assert inside[0][:, column].min() < SETTINGS.gate < outside[0][:, column].min()
