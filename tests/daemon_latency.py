@@ -40,7 +40,7 @@ def processor(pid: int) -> tuple[float, float]:
 
 
 def memory(pid: int) -> tuple[float, float]:
-    """MB resident: what the process has written, and with the pages of files that any process may share."""
+    """Return private modified pages and all resident pages, MB."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
     kb = {line.split()[0]: float(line.split()[1]) for line in lines}
     return kb["Private_Dirty:"] * 1.024e-3, kb["Rss:"] * 1.024e-3

@@ -14,7 +14,7 @@ constexpr int FEWEST = 4;       // pairs, since any shift fits three
 // rad, standard deviation of a disc's place on the map and in the picture that no view removes
 constexpr double PLACE_SIGMA = 5e-4;
 
-struct KnownDiscs {
+struct RotatedDiscs {
     Matrix<Dynamic, 3> place;  // obj
     Eigen::Map<const Vector<Dynamic>> variance;
     Vector<3> rate;
@@ -22,13 +22,13 @@ struct KnownDiscs {
 
 struct Offset {
     int pairs;
-    Vector<3> shift;  // radii
+    Vector<3> shift;  // radii, obj
     Matrix<3> covariance;
-    double square, rotation, with_offset;  // squared deviations, and chi-squares per degree of freedom
+    double mahalanobis_squared, rotation, with_offset;  // of `shift` from zero; chi-squares per degree of freedom
 };
 
-/// Return the offset by least squares over turn and shift, if it has a solution.
-std::optional<Offset> offset(const Points& points, const KnownDiscs& discs, double reach) {
+/// Return the shift of the centre from its assumed place, by least squares over turn and shift, if it has a solution.
+std::optional<Offset> offset(const Points& points, const RotatedDiscs& discs, double reach) {
     const Matrix<Dynamic> cosine = points.direction * discs.place.transpose();
     const std::vector<int> column =
         mutual_nearest((cosine.array() > std::cos(reach)).select(1.0 - cosine.array(), HUGE_VAL));
@@ -56,13 +56,13 @@ std::optional<Offset> offset(const Points& points, const KnownDiscs& discs, doub
     const Vector<3> turn = N.topLeftCorner<3, 3>().inverse() * right.head<3>();
     const Matrix<6> Q = N.inverse();
     const Vector<6> x = Q * right;
-    const double square = x.tail<3>().dot(Q.bottomRightCorner<3, 3>().inverse() * x.tail<3>());
+    const double squared = x.tail<3>().dot(Q.bottomRightCorner<3, 3>().inverse() * x.tail<3>());
     // discs that are all in one place do not tell a shift from a turn
-    if (!std::isfinite(square + turn.sum())) return {};
+    if (!std::isfinite(squared + turn.sum())) return {};
     return Offset{k,
                   x.tail<3>(),
                   Q.bottomRightCorner<3, 3>(),
-                  std::max(square, 0.0),
+                  std::max(squared, 0.0),
                   std::max(total - right.head<3>().dot(turn), 0.0) / (2 * k - 3),
                   std::max(total - right.dot(x), 0.0) / (2 * k - 6)};
 }
@@ -75,15 +75,15 @@ nb::object shift_of(nb::tuple points_, nb::handle delay, nb::tuple discs_, doubl
     points.delay = late;
     const auto directions = matrix<Dynamic, 3>(discs_[0], "directions");
     const Matrix<3> attitude = matrix<3, 3>(discs_[2], "attitude");
-    const KnownDiscs discs{directions * attitude.transpose(), vector(discs_[1], "variance"),
-                           vector<3>(discs_[3], "rate")};
+    const RotatedDiscs discs{directions * attitude.transpose(), vector(discs_[1], "variance"),
+                             vector<3>(discs_[3], "rate")};
     if (discs.variance.size() != directions.rows())
         throw nb::type_error("variance: must have the length of directions");
     const auto r = offset(points, discs, reach);
     if (!r) return nb::none();
     return nb::make_tuple(r->pairs, to_numpy(Vector<3>(points.radius * r->shift)),
-                          to_numpy(Matrix<3>(points.radius * points.radius * r->covariance)), std::sqrt(r->square),
-                          r->rotation, r->with_offset);
+                          to_numpy(Matrix<3>(points.radius * points.radius * r->covariance)),
+                          std::sqrt(r->mahalanobis_squared), r->rotation, r->with_offset);
 }
 
 }  // namespace

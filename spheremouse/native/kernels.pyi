@@ -139,7 +139,7 @@ def anchor_points(
     anchors: _Float, R: _Float, information: _Float, gradient: _Float, errors: tuple[float, float, float],
     facing: tuple[_Float, float], view: tuple[object, ...],
 ) -> tuple[_Float, _Float, _Index]:  # fmt: skip
-    """Return places, (n, 2) px, covariances, (n, 2, 2) px², and numbers, (n,), of the anchors that a frame shows.
+    """Return places, (n, 2) px, covariances, (n, 2, 2) px², and indices, (n,), of the anchors that a frame shows.
 
     They are those of `anchors`, (k, 3) ball, at the attitude R, (3, 3), with the information, (k, 3, 3), and the
     gradient, (k, 3), of the pixels around each. `errors`, rad, are the largest standard deviation of a place, that of
@@ -297,12 +297,12 @@ _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joi
 _Pairs = tuple[_Index, _Index, bool, float]  # as `so3.Pairing`
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
 
-MOST_DOUBT: float
+MAX_PLACE_VARIANCE: float
 
-def take_up(body: _Body, points: _Points, which: _Index, moves: bool) -> tuple[_Float, _Float, _Float]:
+def take_up(body: _Body, points: _Points, which: _Index, centre_moves: bool) -> tuple[_Float, _Float, _Float]:
     """Take up the points `which`, (k,), as landmarks: places, (k, 3) in ball, axes, (k, 3, 2), and all of `joint`.
 
-    A rig that is known badly adds noise for the omitted terms, unless the centre `moves`.
+    Unless the centre moves, noise with the squared rig variance stands for the omitted terms.
     """
 
 def place_sigma(body: _Body, which: _Index, added: _Float) -> _Float:
@@ -362,11 +362,11 @@ POINT_SIGMA: float
 def update_by_frame(
     body: _Body, points: _Points, camera: _Camera, pending: _Pending, activity: _Activity
 ) -> tuple[_Corrected, _Pairs, bool]:
-    """Return the state corrected by the nearest pairs of a frame, those pairs, and whether each is certain.
+    """Return the state corrected by the nearest pairs of a frame, those pairs, and whether they are certain.
 
-    Two pairs or more are certain if chance explains none of them, and the frame is ordinary: half of the discs or more
-    are in their places, no other pair is possible, and the ball turns little. They are also certain if half of the
-    points pair, and the place of each disc is known so well that chance explains none. Errors are those of `correct`.
+    Two pairs or more are certain if they are ordinary and the correction is small. Of ordinary pairs, half of those
+    possible or more are in place, no other pair fits, and chance explains none. Pairs are also certain if half of the
+    points pair, and all their discs are known so well that chance explains none. Errors are those of `correct`.
     """
 
 def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float]:

@@ -16,7 +16,7 @@ constexpr double STRAY = 0.3;       // part of either side that may lie beyond a
 constexpr double MARGIN = 2.0;      // px beside the edge that lens blur and smoothing mix with the cover
 constexpr size_t LEAST_COVERED = 3, LEAST_DISC = 6;  // px of a cover and of a disc that show an edge
 
-/// Return the number of the smallest values that Otsu's threshold (1979) separates; 0 if they are not of two shades.
+/// Sort `values`, and return how many Otsu's threshold (1979) counts as dark; 0 if they are not of two shades.
 size_t darker_part(std::vector<float>& values, float ball) {
     std::sort(values.begin(), values.end());
     const double n = double(values.size()), sum = std::accumulate(values.begin(), values.end(), 0.0);
@@ -34,8 +34,8 @@ size_t darker_part(std::vector<float>& values, float ball) {
 
 /// A straight edge; a cover lies beyond it, normal' x > place.
 struct Edge {
-    Vector<2> normal;
-    double place;
+    Vector<2> normal;  // unit
+    double place;      // px
 
     double beyond(const Pixels& p, size_t i) const { return normal(0) * p.x[i] + normal(1) * p.y[i] - place; }
 };

@@ -88,8 +88,8 @@ struct Shades {
 
 Shades shades(const Pixels& p);
 
-/// Leave out the pixels behind the straight edge of a cover, if one cuts the disc; return the part of the rim beside
-/// it.
+/// Leave out the pixels behind the straight edge of a cover, if one cuts the disc. Return the part of the rim that
+/// stays visible.
 ///
 /// Two shades inside of the disc show a cover, if a line separates them. `shape` is the disc's, as in `Expected`.
 double leave_out_covered(Pixels& p, const Shape& shape);

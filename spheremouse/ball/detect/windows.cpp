@@ -108,11 +108,11 @@ bool expect_at_fit(const Photo& photo, const DiscModel& model, const Vector<3>& 
     return true;
 }
 
-/// Fit discs; those that are far from their expected places are fitted again, with the shapes that they have there.
+/// Fit discs. Fit those far from their expected places again, up to three times, with the shapes that they have there.
 ///
 /// A push takes discs farther than the steps of one fit, and so does a start at the middle of what a cover leaves. A
-/// fit that ends far from its place again and again slides along an edge. With `any_start`, a start may be so wrong
-/// that the first fit is no disc. A smeared disc that is far from its place has another way, too, and has one fit.
+/// disc that is still far after these is rejected: its fits slide along an edge. With `any_start`, a start may be so
+/// wrong that the first fit is no disc. A smeared disc keeps its first fit: off its place it also moves otherwise.
 std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
                               bool any_start, std::vector<Disc>& discs, std::vector<Expected> expected,
                               Common& common) {
@@ -132,7 +132,7 @@ std::vector<Fit> fit_in_place(const Photo& photo, const DiscModel& model, const 
     }
 }
 
-/// Fit discs in place, and move their centroids to their centres.
+/// Fit discs, correct eccentricity, and add the covariance of a cover's repeated errors. Return the distinct best.
 std::vector<Measured> fit_all(const Photo& photo, const DiscModel& model, const Vector<3>& rate, double contrast,
                               bool any_start, std::vector<Disc>& discs, const std::vector<Expected>& expected,
                               Common& common) {

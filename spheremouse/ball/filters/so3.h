@@ -94,7 +94,7 @@ struct Pairs {
     bool plain = false;  // no other pair was possible
     bool in_place = false, agree = false;
     double noise_scale = 1.0;  // of the level at which they pair
-    double widest = 0.0;       // rad², of the place of a pair given the others: root of the covariance's determinant
+    double widest = 0.0;       // rad², largest of a place given the other pairs: root of the covariance's determinant
     Innovation innovation = {};
 
     /// All that could pair does, each in its place.

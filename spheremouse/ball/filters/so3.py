@@ -203,7 +203,7 @@ class So3Filter:
         """Return the result of `update` for a frame with certain pairs; None for any other frame.
 
         `may_start_landmark` is as in `keep_map`. Pairs are certain if one of three conditions holds:
-        - the pairs are ordinary or known well (`so3_frame.cpp`),
+        - the pairs are ordinary, or their discs known well, as `kernels.update_by_frame` describes,
         - chance does not explain so many pairs, three or more,
         - two pairs fix the attitude, and chance does not explain the other pairs.
         """
@@ -249,18 +249,18 @@ class So3Filter:
         return ways * poisson_tail(len(corrected.used) - 3, self._expected_by_chance(sigma, points)) < _RARE
 
     def distances_to_discs(
-        self, state: So3State, points: SpherePoints, gate: float, widest: bool = False
+        self, state: So3State, points: SpherePoints, gate: float, highest: bool = False
     ) -> tuple[Array, NDArray[np.intp]]:
         """Return squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and those.
 
-        They are exact below `gate`. `widest`: with the noise of a step at the liveliest level, at any instant since the
+        They are exact below `gate`. `highest`: with the noise of a step at the highest level, at any instant since the
         last frame. The process noise is the mean over all intervals, and few of them have a step.
         """
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
         cosine = state.discs @ (self.station.towards @ state.attitude)
         which = np.flatnonzero(cosine > self.station.horizon - np.minimum(slack, 0.5))
         steps = max(0.5 * PERSISTENCE_S / max(state.interval, 1e-3), 1.0)  # noise of one over the mean
-        added = self._added_noise(state, steps * max(squared_levels(self.settings.levels)) if widest else 1.0)
+        added = self._added_noise(state, steps * max(squared_levels(self.settings.levels)) if highest else 1.0)
         allowance = _omitted_variance(state, added)
         return kernels.distances(state.body, self._measurement(state, points), which, added, allowance, gate), which
 

@@ -7,10 +7,10 @@ namespace {
 constexpr double RARE = 1e-3;         // probability per frame below which chance does not explain the pairs
 constexpr double POINT_SIGMA = 2e-3;  // rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 
-/// Return whether an unpaired point and an unpaired disc form a pair at the highest level.
+/// Return whether an unpaired point and an unpaired visible disc form a pair at the highest level of the acceleration.
 ///
 /// If they do, a hand may have pushed the ball. Then the update must not use only the discs that moved least.
-bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
+bool another_pair_fits(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
                        const Noise& added, double gate) {
     Indices others;
     for (int k : visible(body, viewer))
@@ -20,21 +20,21 @@ bool pairs_if_livelier(const Body& body, const Points& points, const Viewer& vie
     return (distance.array() < gate).any();
 }
 
-/// Return whether a point falls into the gate of a disc by chance in under a thousandth of the frames.
+/// Return whether any point falls into one disc's gate by chance in under a thousandth of the frames.
 ///
-/// `area`, rad², is the root of the determinant of the covariance of the disc's place.
-bool is_rare(double area, const Points& points, const Viewer& viewer, double gate) {
-    return points.size() * gate * area < 2.0 * RARE * (1.0 - viewer.horizon);
+/// `root_determinant`, rad², is that of the covariance of the disc's place. The gate's area is proportional to it.
+bool is_chance_rare(double root_determinant, const Points& points, const Viewer& viewer, double gate) {
+    return points.size() * gate * root_determinant < 2.0 * RARE * (1.0 - viewer.horizon);
 }
 
-/// Return whether pairs show half of the discs or more in their places, without another possible pair.
+/// Return whether half of the possible pairs or more are in place, no other pair fits, and chance explains none.
 bool are_ordinary(const Body& body, const Points& points, const Viewer& viewer, const Pairs& pairs,
                   const Pending& pending, const Activity& activity) {
     const int k = int(pairs.rows.size());
     if (!(pairs.plain && pairs.in_place && 2 * k >= pairs.possible)) return false;
-    if (!is_rare(pairs.widest, points, viewer, activity.gate)) return false;
+    if (!is_chance_rare(pairs.widest, points, viewer, activity.gate)) return false;
     const double most = activity.squares().maxCoeff();
-    return k == pairs.possible || !pairs_if_livelier(body, points, viewer, pairs, pending.added(most), activity.gate);
+    return k == pairs.possible || !another_pair_fits(body, points, viewer, pairs, pending.added(most), activity.gate);
 }
 
 /// Return whether half of the points pair, and chance does not explain even the disc that is known least.
@@ -44,9 +44,9 @@ bool are_known_well(const Body& body, const Points& points, const Viewer& viewer
                     const Pending& pending, const Activity& activity) {
     if (2 * int(pairs.rows.size()) < points.size()) return false;
     const Noise added = pending.added(pending.weights.dot(activity.squares()));
-    double widest = 0.0;
-    for (int k : pairs.columns) widest = std::max(widest, place_variance(body, k, added));
-    return is_rare(widest + POINT_SIGMA * POINT_SIGMA, points, viewer, activity.gate);
+    double largest_variance = 0.0;
+    for (int k : pairs.columns) largest_variance = std::max(largest_variance, place_variance(body, k, added));
+    return is_chance_rare(largest_variance + POINT_SIGMA * POINT_SIGMA, points, viewer, activity.gate);
 }
 
 nb::tuple update_by_frame(nb::tuple body_, nb::tuple points_, nb::tuple camera, nb::tuple pending_,

@@ -8,7 +8,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double MOST_DOUBT = 0.25;  // rad², of a place: a disc that may be anywhere is no worse
+constexpr double MAX_PLACE_VARIANCE = 0.25;  // rad²: a disc that may be anywhere is no worse
 
 struct Found {
     Rows<3> places;    // ball
@@ -16,8 +16,8 @@ struct Found {
     Dense joint;       // with the errors of the new landmarks after those of the others
 };
 
-/// Return the points `which` as landmarks. A rig that is known badly adds noise for the terms that J omits.
-Found take_up(const Body& body, const Points& points, const Indices& which, bool moves) {
+/// Return points as landmarks. Unless the centre moves, the squared rig variance stands for the terms that J omits.
+Found take_up(const Body& body, const Points& points, const Indices& which, bool centre_moves) {
     const int k = int(which.size()), old = int(body.P.rows()), n = old - CLONE;
     Found r{Rows<3>(which.size()), Rows<3, 2>(which.size()), Dense(old + 2 * k, old + 2 * k)};
     Matrix<Dynamic, FIXED> G(2 * k, FIXED);
@@ -31,10 +31,10 @@ Found take_up(const Body& body, const Points& points, const Indices& which, bool
         auto J = G.middleRows<2>(2 * i);
         J = -jacobian(body, points, point, place);
         noise.block<2, 2>(2 * i, 2 * i) = place.E.transpose() * points.noise(point) * place.E;
-        if (moves) continue;
+        if (centre_moves) continue;
         const auto by_rig = J.middleCols<RIG_DIM>(RIG);
-        const double doubt = (by_rig * body.P.block<RIG_DIM, RIG_DIM>(RIG, RIG) * by_rig.transpose()).trace();
-        noise.diagonal().segment<2>(2 * i).array() += std::pow(std::min(doubt, MOST_DOUBT), 2);
+        const double rig_variance = (by_rig * body.P.block<RIG_DIM, RIG_DIM>(RIG, RIG) * by_rig.transpose()).trace();
+        noise.diagonal().segment<2>(2 * i).array() += std::pow(std::min(rig_variance, MAX_PLACE_VARIANCE), 2);
     }
     Dense fixed(FIXED, old);  // the rows of P in the order of G
     fixed << body.P.topRows<READOUT>(), body.P.row(body.readout_row());
@@ -48,18 +48,18 @@ Found take_up(const Body& body, const Points& points, const Indices& which, bool
     return r;
 }
 
-nb::tuple take_up_(nb::tuple body_, nb::tuple points_, nb::handle which_, bool moves) {
+nb::tuple take_up_(nb::tuple body_, nb::tuple points_, nb::handle which_, bool centre_moves) {
     const Body body = read_body(body_);
     const Points points = read_points(points_, body);
-    const Found r = take_up(body, points, read_indices(which_, "which", points.size()), moves);
+    const Found r = take_up(body, points, read_indices(which_, "which", points.size()), centre_moves);
     return nb::make_tuple(r.places.array, r.basis.array, to_numpy(r.joint));
 }
 
 }  // namespace
 
 void bind_so3_map(nb::module_& m) {
-    m.attr("MOST_DOUBT") = MOST_DOUBT;
-    m.def("take_up", &take_up_, arg("body"), arg("points"), arg("which"), arg("moves"));
+    m.attr("MAX_PLACE_VARIANCE") = MAX_PLACE_VARIANCE;
+    m.def("take_up", &take_up_, arg("body"), arg("points"), arg("which"), arg("centre_moves"));
 }
 
 }  // namespace spheremouse::ball

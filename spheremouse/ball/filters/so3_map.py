@@ -32,8 +32,8 @@ def with_candidates(
     """Take up the points `index`, (k,), on a ball of `radius` m as candidates; `numbers` (k,) are of look-alikes."""
     if len(index) == 0:
         return state
-    measurement, moves = points.measurement(radius), bool(state.centre_noise > 0.0)
-    places, basis, joint = kernels.take_up(state.body, measurement, index, moves)
+    centre_moves = bool(state.centre_noise > 0.0)
+    places, basis, joint = kernels.take_up(state.body, points.measurement(radius), index, centre_moves)
     return replace(
         state,
         landmarks=np.concatenate([state.landmarks, places]),

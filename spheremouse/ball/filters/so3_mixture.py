@@ -93,7 +93,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
     """
     density = math.log(new_density(filter_, predicted, len(points)))
     gate = _WIDE_GATE * filter_.settings.gate
-    distance, which = filter_.distances_to_discs(predicted, points, gate, widest=True)
+    distance, which = filter_.distances_to_discs(predicted, points, gate, highest=True)
     choices = np.count_nonzero(distance < gate, axis=1)
     choices[np.argsort(np.where(choices > 0, choices, len(which) + 1), kind="stable")[_MAX_SEARCHED:]] = 0
     nodes = [_Node((), (), filter_.correct(predicted, points, _pairing((), ()))[0], 0.0)]

@@ -310,7 +310,7 @@ def delays(points: SpherePoints, state: So3State) -> Array:
 
 def omitted_variance(covariance: Array) -> Array:
     """Return the variances, (k,) rad², of places by omitted terms, from covariances to first order, (k, d, d) rad²."""
-    return np.minimum(np.trace(covariance, axis1=1, axis2=2), kernels.MOST_DOUBT) ** 2
+    return np.minimum(np.trace(covariance, axis1=1, axis2=2), kernels.MAX_PLACE_VARIANCE) ** 2
 
 
 def with_rig_uncertainty(state: So3State, covariance: Array) -> So3State:

@@ -1,4 +1,4 @@
-// Anchors of the picture as points of an image.
+// Anchors of the learnt picture as points of an image.
 #include "spheremouse/ball/ball_view.h"
 #include "spheremouse/geometry/rotation.h"
 
@@ -9,7 +9,7 @@ namespace {
 struct AnchorErrors {
     double loose;   // standard deviation above which the pixels around an anchor do not determine its place
     double prior;   // of its place relative to the whole alignment
-    double shared;  // of the picture: its pixels have them in common
+    double shared;  // of the learnt picture, common to all its pixels
 };
 
 /// Return two orthonormal columns perpendicular to a unit vector, as `rotation.py` has them (Duff et al. 2017).
@@ -24,7 +24,7 @@ double largest_eigenvalue(const Matrix<2>& H) {
     return 0.5 * (H.trace() + std::hypot(H(0, 0) - H(1, 1), 2.0 * H(0, 1)));
 }
 
-/// Return the anchors in view whose surroundings a frame shows: their pixels, covariances and numbers.
+/// Return the anchors in view whose surroundings a frame shows: places, px, covariances, px², and indices.
 ///
 /// The pixels around an anchor give a rotation of their own about the two axes across it, relative to the alignment of
 /// the whole. `facing` has the direction of the camera, and the least cosine with it.

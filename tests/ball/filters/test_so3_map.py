@@ -182,12 +182,12 @@ def test_a_candidate_measures_the_turn_since_its_first_sighting():
     assert np.sum(squares) < chi2(3 * len(squares)).ppf(0.999)
 
 
-@pytest.mark.parametrize("moves", [False, True])
-def test_the_innovation_of_a_point_that_was_taken_up_is_its_image_noise(moves):
+@pytest.mark.parametrize("centre_moves", [False, True])
+def test_the_innovation_of_a_point_that_was_taken_up_is_its_image_noise(centre_moves):
     """It depends on no other error, and so another view measures the motion since."""
     body, points = drawn(4)
     which = np.array([2, 0, 5])
-    places, basis, joint = kernels.take_up(body, points, which, moves)
+    places, basis, joint = kernels.take_up(body, points, which, centre_moves)
     discs, axes = np.concatenate([body[3], places]), np.concatenate([body[4], basis])
     after = *body[:3], discs, axes, joint, *body[6:8], len(discs), *body[9:]
     old = np.delete(np.arange(len(joint)), MAP_OFFSET + 24 + np.arange(6))
@@ -196,8 +196,8 @@ def test_the_innovation_of_a_point_that_was_taken_up_is_its_image_noise(moves):
     assert_allclose(basis.transpose(0, 2, 1) @ places[:, :, None], 0.0, atol=1e-15)
     for k, i in enumerate(which):
         z, H, noise = linear(after, points, i, 12 + k)
-        doubt = H[:, RIG] @ joint[RIG, RIG] @ H[:, RIG].T
-        noise += 0.0 if moves else np.trace(doubt) ** 2 * np.eye(2)
+        rig_covariance = H[:, RIG] @ joint[RIG, RIG] @ H[:, RIG].T
+        noise += 0.0 if centre_moves else np.trace(rig_covariance) ** 2 * np.eye(2)
         assert_allclose(z, 0.0, atol=1e-15)
         assert_allclose(H @ joint @ H.T, noise, rtol=1e-9, atol=1e-18)
         assert_allclose(H @ joint[:, old], 0.0, atol=1e-12 * np.sqrt(joint.max()))
