@@ -127,7 +127,8 @@ def out_of_sight(state: TrackState, stamp: float) -> bool:
     watch = state.watch
     if watch is None or state.confirmed or state.status is Status.SEARCHING:
         return False
-    astray = state.rebuilt is not None and int(np.count_nonzero(watch.seen)) < 3  # the last pose found shows too few
+    moved = watch.shaken > -np.inf
+    astray = moved and int(np.count_nonzero(watch.seen)) < 3  # the last pose found shows too few
     return (astray or hidden(watch)) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 

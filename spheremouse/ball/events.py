@@ -87,6 +87,13 @@ class OutOfRound(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class WrongSize(Event):
+    """The ball's outline does not have the size that the rig gives it."""
+
+    error: float  # relative, of the radius: above zero for a larger ball
+
+
+@dataclass(frozen=True, slots=True)
 class ReadoutKnown(Event):
     """Play has shown how long the rolling shutter takes for all rows."""
 
@@ -114,4 +121,4 @@ class TargetsHidden(Event):
     """The ball is lost while the targets are out of sight, so the camera may have moved."""
 
 
-OF_CAMERA = (ReadoutKnown, DiscColours, CameraMoved, TargetsHidden)  # which concern one camera, of several
+OF_CAMERA = (ReadoutKnown, DiscColours, CameraMoved, TargetsHidden, WrongSize)  # which concern one camera, of several

@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball import outline
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MAX_COPIES, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import Pose, project, project_rings, sphere_outline, unproject
+from spheremouse.geometry.camera import Pose, project, project_rings, unproject
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.settings import param
@@ -369,9 +370,7 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
 
     Three targets always fit. So even a single pose of three targets needs the ball's outline as confirmation.
     """
-    grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
-    floor = 4.0 * float(np.median(np.abs(np.diff(grey.astype(float), axis=1)))) + 4.0
-    scores = [_outline_score(f.pose, rig, grey, floor) for f in fits]
+    scores = [outline.support(image, rig, f.pose) for f in fits]
     order = np.argsort(scores)[::-1]
     best = scores[order[0]]
     second = scores[order[1]] if len(fits) > 1 else 0.0
@@ -387,27 +386,3 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
             "between them: uncover a fourth target, or the edge of the ball"
         )
     return fits[int(order[0])]
-
-
-def _outline_score(pose: Pose, rig: Rig, grey: Image, floor: float) -> float:
-    """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it, steeper than `floor`."""
-    try:
-        uv = sphere_outline(pose.to_cam(rig.ball.centre), rig.ball.radius, rig.camera, 240)
-    except np.linalg.LinAlgError:  # not wholly in front of the camera
-        return 0.0
-    tangent = np.roll(uv, -1, axis=0) - np.roll(uv, 1, axis=0)
-    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
-    reach = np.arange(-8.0, 8.5, 0.5)
-    at = uv[:, None] + reach[None, :, None] * normal[:, None]
-    h, w = grey.shape
-    visible = np.all((at > 1) & (at < [w - 2, h - 2]), axis=(1, 2))
-    if np.count_nonzero(visible) < 24:
-        return 0.0
-    x, y = (np.ascontiguousarray(at[visible, :, i], dtype=np.float32) for i in (0, 1))
-    profile = cv2.remap(grey.astype(np.float32), x, y, cv2.INTER_LINEAR)
-    slope = np.abs(profile[:, 4:] - profile[:, :-4])  # over 2 px
-    strongest = slope.max(axis=1)
-    offset = np.abs(reach[2:-2][slope.argmax(axis=1)])
-    # by chance the strongest edge of 13 px lies within 2 px in 3 of 10 cases: count only what is beyond that
-    hit = float(np.mean((offset <= 2.0) & (strongest > floor)))
-    return max(0.0, (hit - 0.3) / 0.7)

@@ -32,6 +32,7 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
 from spheremouse.ball.phases import colours
+from spheremouse.ball.phases.bearing import with_size_of_outline
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
 from spheremouse.ball.settings import Settings
@@ -76,6 +77,11 @@ def step(
     check_size(frame, tracker.rig.camera)
     state = facing(state, frame.camera)
     tracker = current(state, tracker)
+    if state.frames == 0 and tracker.method.keeps_map and tracker.detector.sees_discs and state.rebuilt is None:
+        state, events = with_size_of_outline(state, frame.image, tracker)
+        if events:
+            done = step(state, frame, tracker, detected, seek)
+            return done._replace(events=(*events, *done.events))
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
     if state.watch.away is not None:

@@ -24,6 +24,7 @@ _Ball = (
     | events.MotionReleased
     | events.NewMap
     | events.OutOfRound
+    | events.WrongSize
     | events.ReadoutKnown
     | events.DiscColours
     | events.CameraMoved
@@ -143,6 +144,9 @@ def sentence(event: Event, words: Words) -> str:
         case events.OutOfRound():
             cause = "its bearings are worn, it is out of round, the camera was moved, or the rig is wrong"
             return f"the {parts} do not fit a ball that turns about its centre: {cause}"
+        case events.WrongSize(error):
+            size = f"{100.0 * abs(error):.1f} % {'larger' if error > 0.0 else 'smaller'}"
+            return f"the ball looks {size} than the rig has it: measure its radius and place again, or calibrate"
         case events.ReadoutKnown(readout):
             return (
                 f"rolling shutter: {1e3 * readout:.1f} ms for all rows (set readout_s: {readout:.4f} in the rig file)"

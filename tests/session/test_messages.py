@@ -35,6 +35,9 @@ SENTENCES = {
     ),
     events.MotionReleased(0.23, 0.6): "motion goes on: the 34° of 0.2 s are made up for at a hand's pace",
     events.ReadoutKnown(0.0299): "rolling shutter: 29.9 ms for all rows (set readout_s: 0.0299 in the rig file)",
+    events.WrongSize(-0.0164): (
+        "the ball looks 1.6 % smaller than the rig has it: measure its radius and place again, or calibrate"
+    ),
     events.DiscColours((0.114, 0.587, 0.299)): "the discs are darker than the ball",
     events.DiscColours((-0.114, -0.587, -0.299)): "the discs are lighter than the ball",
     events.DiscColours((-0.5, 0.0, 0.5)): (

@@ -26,6 +26,7 @@ class Station:
     focal_sigma: float = 0.0  # relative, of the focal length
     pose_by_focal: Array = field(default_factory=lambda: np.zeros(6))  # m, rad: as `Pose.by_focal` has it
     along_axis: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, obj, from the camera to the ball's depth
+    size_error: float = 0.0  # relative, of the radius, by the ball's outline
 
     def common_by_pose_and_ball(self) -> Array:
         """Return the matrix, (7, 10), from errors of pose, centre and radius to those of the rig and the axes.
@@ -48,12 +49,19 @@ class Station:
         by_pose = self.common_by_pose_and_ball()[:RIG_DIM, :6]
         return np.concatenate([[1.0], -self.along_axis]) + by_pose @ self.pose_by_focal
 
+    def common_by_size(self) -> Array:
+        """Return the effect, (4,), of a relative error of the radius on the errors of the rig."""
+        return self.radius * self.common_by_pose_and_ball()[:RIG_DIM, 9]
+
     def covariance(self) -> Array:
         """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
         A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
         covariance[:7, :7], covariance[7, 7] = A @ self.considered @ A.T, self.readout_sigma**2
-        effect = self.focal_sigma * self.common_by_focal()
+        effect, size = self.focal_sigma * self.common_by_focal(), self.common_by_size()
         covariance[:RIG_DIM, :RIG_DIM] += np.outer(effect, effect)
+        direction = size / float(size @ size)
+        known = float(direction @ covariance[:RIG_DIM, :RIG_DIM] @ direction)
+        covariance[:RIG_DIM, :RIG_DIM] += max(self.size_error**2 - known, 0.0) * np.outer(size, size)
         exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
         focal, centre = _EXACT_RIG
         covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2
@@ -73,9 +81,8 @@ class Station:
     def covariance_by_tape(self) -> Array:
         """Return the covariance, (4, 4), that a radius and a focal length by tape add to that of the rig.
 
-        An error of the radius shifts the centre along the line of sight. With a wrong focal length, pictures place the
+        With a wrong focal length, pictures place the
         camera so that the ball has its place and size.
         """
-        radius = self.radius * self.common_by_pose_and_ball()[:RIG_DIM, 9]
-        focal = np.eye(RIG_DIM)[0]
-        return _TAPE_ERROR**2 * (np.outer(radius, radius) + np.outer(focal, focal))
+        size, focal = self.common_by_size(), np.eye(RIG_DIM)[0]
+        return _TAPE_ERROR**2 * (np.outer(size, size) + np.outer(focal, focal))

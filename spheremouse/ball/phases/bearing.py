@@ -12,11 +12,13 @@ import numpy as np
 
 from spheremouse.ball import centre_offset
 from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
-from spheremouse.ball.events import BallLost, OutOfRound, Why
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.events import BallLost, OutOfRound, Why, WrongSize
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
+from spheremouse.ball.outline import size_error
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
@@ -36,7 +38,24 @@ _PAIRS = 5  # discs that show a centre: with three any shift fits, with four nea
 _FITS = 0.002  # radii, standard deviation of the shift that a frame of that proof has
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
+_CERTAIN_SIGMAS = 3.0  # of the outline's radius
 _FRAME = 0.1  # s, the longest that one frame counts for
+
+
+def with_size_of_outline(
+    state: TrackState[So3State], image: Image, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state before the first frame, `image`, with the radius that the ball's outline shows.
+
+    If it differs from the rig's by more than the outline's error, one of them is wrong: the outline may be that of an
+    opening before the ball. So the standard deviation of the radius is as large as the difference.
+    """
+    error, sigma = size_error(image, tracker.rig, tracker.pose)
+    if abs(error) < _CERTAIN_SIGMAS * sigma:
+        return state, ()
+    stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=error))
+    state = state._replace(filter=stage.with_station(state.filter), rebuilt=replace(tracker, filter=stage))
+    return state, (WrongSize(error),)
 
 
 def check_learning(

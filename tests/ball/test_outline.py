@@ -1,0 +1,62 @@
+"""The ball's outline tells the radius where enough of it is free, and keeps silent elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball.test_pose import BLACK, VIEWS, picture_of_ball, rig_of
+
+from spheremouse.ball.outline import size_error, support
+
+NOISE = 4.0  # grey values, standard deviation
+
+
+def scene(view, free=360.0):
+    """Rig, pose and a noisy picture of a ball, of whose outline an arc of `free` degrees can be seen."""
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    picture = picture_of_ball(rig, pose).astype(float)
+    v, u = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    ball = picture[..., 0] if picture.ndim == 3 else picture
+    inside = ball > 0.5 * ball.max()
+    angle = np.degrees(np.arctan2(v - v[inside].mean(), u - u[inside].mean())) % 360.0
+    picture[angle > free] = 90.0
+    noisy = picture + np.random.default_rng(0).normal(scale=NOISE, size=picture.shape)
+    return rig, pose, np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def with_radius(rig, factor):
+    return replace(rig, ball=replace(rig.ball, radius=factor * rig.ball.radius))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("factor", [0.96, 0.985, 1.01, 1.03])
+def test_a_wrong_radius_is_measured(view, factor):
+    rig, pose, picture = scene(view)
+    error, sigma = size_error(picture, with_radius(rig, factor), pose)
+    assert abs(error - (1.0 / factor - 1.0)) < 2.0 * sigma < 0.005
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_the_right_radius_is_confirmed(view):
+    rig, pose, picture = scene(view)
+    error, sigma = size_error(picture, rig, pose)
+    assert abs(error) < 2.0 * sigma
+    assert support(picture, rig, pose) > 0.9
+    assert support(picture, with_radius(rig, 1.04), pose) < 0.1
+
+
+def test_a_third_of_the_outline_is_enough_and_a_tenth_is_not():
+    rig, pose, picture = scene("far", free=120.0)
+    assert size_error(picture, with_radius(rig, 1.02), pose)[0] == pytest.approx(1.0 / 1.02 - 1.0, abs=0.003)
+    rig, pose, picture = scene("far", free=36.0)
+    assert size_error(picture, with_radius(rig, 1.02), pose) == (0.0, np.inf)
+
+
+def test_a_picture_without_a_ball_shows_no_radius():
+    rig, pose, _ = scene("far")
+    noise = np.random.default_rng(1).integers(0, 255, BLACK.shape, dtype=np.uint8)
+    for picture in (BLACK, BLACK + 255, BLACK[..., 0], noise):
+        assert size_error(picture, rig, pose) == (0.0, np.inf)
+    within = replace(pose, position=0.5 * rig.ball.radius * pose.position / np.linalg.norm(pose.position))
+    assert size_error(BLACK, rig, within) == (0.0, np.inf)
