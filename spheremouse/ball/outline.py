@@ -1,4 +1,4 @@
-"""The ball's outline in a picture: does it lie where rig and pose place it, and how large is the ball?
+"""The ball's outline in a picture, and the radius that it shows.
 
 Struts, the base and hands hide much of it, and shading gives other edges. So the radius on which most edges agree
 counts.

@@ -81,8 +81,7 @@ class Station:
     def covariance_by_tape(self) -> Array:
         """Return the covariance, (4, 4), that a radius and a focal length by tape add to that of the rig.
 
-        With a wrong focal length, pictures place the
-        camera so that the ball has its place and size.
+        With a wrong focal length, pictures place the camera so that the ball has its place and size.
         """
         size, focal = self.common_by_size(), np.eye(RIG_DIM)[0]
         return _TAPE_ERROR**2 * (np.outer(size, size) + np.outer(focal, focal))
