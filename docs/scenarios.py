@@ -98,6 +98,10 @@ SCENARIOS: dict[str, Scenario] = {
     "bump at rest": Scenario("at rest, camera pushed 3 mm, 0.24°", film(motion="rest", seconds=20.0, bump=12.0)),
     "lift": Scenario("rolling, lifted 3 cm for 1 s", rolling(lift=5.0)),
     "lift at rest": Scenario("at rest, lifted 3 cm for 1 s", film(motion="rest", seconds=16.0, lift=10.0)),
+    "sway": Scenario("worn bearings, ±5 mm at 2 Hz", film(motion="play", seconds=10.0, sway=5.0)),
+    "sunk": Scenario(
+        "sinks by 1 cm in 0.2 s", film(motion="play", lift=5.0, lift_by=(0.0, -10.0, 0.0), lift_seconds=99.0)
+    ),
     "eccentric": Scenario("centre 5 mm off the pivot", rolling(eccentric=5.0)),
     "disc off": Scenario("a disc falls off", rolling(disc_off=5.0)),
     "disc moved": Scenario("a disc moves by 12 cm", rolling(disc_moved=5.0)),

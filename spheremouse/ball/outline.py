@@ -11,8 +11,8 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
-from spheremouse.geometry.camera import Pose, sphere_outline
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.camera import Pose, sphere_outline, unproject
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.geometry.statistics import mad_sigma
 
 _POINTS = 240  # of the outline
@@ -22,20 +22,42 @@ _SLOPE = 8  # samples on each side of an edge
 _CLEAR = 5.0  # standard deviations of the slopes, from which one is an edge
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_PX = 0.3  # standard deviation of an outline from blur and shading
+_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline
+_SHARED = 4.0  # neighbours that share the error of an edge
+_SIDE_PX = 0.1  # standard deviation of one side of an outline against the other, from shading
 _LEAST_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a twentieth agrees by chance
+
+
+class SeenCentre(NamedTuple):
+    """The ball's centre across the line of sight."""
+
+    place: Array  # (2,) m, along the axes
+    axes: Array  # (3, 2) unit vectors, obj
+    scatter: Array  # (2, 2) m², covariance from the edges
+    common: float  # m², variance that frames share, from shading
 
 
 class _Edges(NamedTuple):
     """Edges across the predicted outline: the strongest on each normal, if it is clear."""
 
     error: Array  # (n,) relative error of the radius with which the outline lies on it
+    normal: Array  # (n, 3) of the ball there, obj
     normals: int  # number of those in the picture
     px: float  # of an error of 1
 
 
+class _Fit(NamedTuple):
+    """A shift of the centre by the edges of an outline."""
+
+    shift: Array  # (3,) m, obj
+    weight: Array  # (n,) of the edges
+    N: Array  # (3, 3) information, over that of one edge
+    off: Array  # (n,) m, residuals
+
+
 def support(image: Image, rig: Rig, pose: Pose) -> float:
     """Return the share of the predicted outline, 0..1, that has an edge, less the share that has one by chance."""
-    found = _edges(image, rig, pose)
+    found = _edges(image, rig, pose, rig.ball.centre)
     if found.normals == 0:
         return 0.0
     near = float(np.count_nonzero(np.abs(found.error) * found.px < _NEAR_PX)) / found.normals
@@ -50,35 +72,76 @@ def size_error(image: Image, rig: Rig, pose: Pose) -> tuple[float, float]:
     Otherwise the result is no error, of infinite standard deviation. `image` is (h, w) or (h, w, 3), and `pose` that of
     its camera.
     """
-    found = _edges(image, rig, pose)
+    found, radius, unknown = _edges(image, rig, pose, rig.ball.centre), rig.ball.radius, (0.0, np.inf)
+    if len(found.error) < _LEAST_SUPPORT * found.normals or found.normals < _LEAST_SUPPORT * _POINTS:
+        return unknown
     error, sigma = np.sort(found.error), _EDGE_PX / found.px
     agree = np.searchsorted(error, error + 4.0 * sigma, "right") - np.arange(len(error))
-    if len(error) == 0 or agree.max() < _LEAST_SUPPORT * found.normals or found.normals < _LEAST_SUPPORT * _POINTS:
-        return 0.0, np.inf
     first = int(agree.argmax())
-    radius = float(error[first : first + agree[first]].mean())
-    rivals = np.count_nonzero(np.abs(error) < 2.0 * sigma) if abs(radius) > 4.0 * sigma else 0
-    return (0.0, np.inf) if 2 * rivals > agree[first] else (radius, sigma)
+    towards = pose.position - rig.ball.centre  # a larger ball looks like one that is nearer by the same share
+    at_mode = float(error[first : first + agree[first]].mean()) * towards
+    fit = max((_fit(found, radius, start) for start in (at_mode, np.zeros(3))), key=lambda fit: fit.weight.sum())
+    size = float(towards @ fit.shift) / float(towards @ towards)
+    agree, rivals = (int(np.count_nonzero(np.abs(off) < 2.0 * sigma * radius)) for off in (fit.off, radius * error))
+    if agree < _LEAST_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
+        return unknown
+    return size, sigma
 
 
-def _edges(image: Image, rig: Rig, pose: Pose) -> _Edges:
-    centre = pose.to_cam(rig.ball.centre)
+def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array) -> SeenCentre | None:
+    """Return the ball's centre that the outline shows, near the `expected` one, (3,) m in obj.
+
+    Along the line of sight a shift looks like shade and blur, so that part is left out. Returns None if too little of
+    the outline is seen.
+    """
+    found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _REACH)
+    if len(found.error) < _LEAST_SUPPORT * found.normals or found.normals < 0.5 * _LEAST_SUPPORT * _POINTS:
+        return None
+    fit = _fit(found, rig.ball.radius, np.zeros(3))
+    towards = pose.position - expected
+    axes = tangent_basis(towards / np.linalg.norm(towards))
+    variance = float(fit.weight @ fit.off**2) / max(float(fit.weight.sum()) - 3.0, 1.0)
+    scatter = _SHARED * variance * axes.T @ np.linalg.pinv(fit.N, hermitian=True) @ axes
+    common = (_SIDE_PX / found.px * rig.ball.radius) ** 2
+    return SeenCentre(axes.T @ (expected + fit.shift), axes, scatter, common)
+
+
+def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
+    """Return the shift of the centre by the edges, from a `start` that is nearly right, by robust least squares.
+
+    A shift d moves the edge on a normal n as a radius that is larger by n d does.
+    """
+    n, error, shift = found.normal, radius * found.error, start
+    weight, N = np.ones(len(n)), np.eye(3)
+    for scale in _SCALES:
+        weight = 1.0 / (1.0 + ((error - n @ shift) / (scale * radius)) ** 2) ** 2
+        N = n.T @ (weight[:, None] * n)
+        shift = np.asarray(np.linalg.lstsq(N, n.T @ (weight * error))[0], float)
+    return _Fit(shift, weight, N, error - n @ shift)
+
+
+def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS, reach: float = _REACH) -> _Edges:
+    """Return the edges near the outline of a ball with its centre `at`, (3,) m in obj."""
+    centre, radius = pose.to_cam(at), rig.ball.radius
     try:
-        uv, larger = (sphere_outline(centre, k * rig.ball.radius, rig.camera, _POINTS) for k in (1.0, 1.0 + _REACH))
+        uv, larger = (sphere_outline(centre, k * radius, rig.camera, points) for k in (1.0, 1.0 + reach))
     except np.linalg.LinAlgError:  # not wholly in front of the camera
-        return _Edges(np.zeros(0), 0, 1.0)
-    px = float(np.median(np.linalg.norm(larger - uv, axis=1))) / _REACH
+        return _Edges(np.zeros(0), np.zeros((0, 3)), 0, 1.0)
+    px = float(np.median(np.linalg.norm(larger - uv, axis=1))) / reach
     h, w = image.shape[:2]
     inside = np.all((uv > 1) & (uv < [w - 2, h - 2]), axis=1)
     if not (inside.any() and px < max(w, h)):
-        return _Edges(np.zeros(0), 0, px)
+        return _Edges(np.zeros(0), np.zeros((0, 3)), 0, px)
     step = _STEP_PX / px
-    error = np.arange(-_REACH - _SLOPE * step, _REACH + _SLOPE * step, step)
-    at = uv[inside, None] + error[:, None] / _REACH * (larger - uv)[inside, None]
-    x, y = (np.ascontiguousarray(at[:, :, i], dtype=np.float32) for i in (0, 1))
+    error = np.arange(-reach - _SLOPE * step, reach + _SLOPE * step, step)
+    line = uv[inside, None] + error[:, None] / reach * (larger - uv)[inside, None]
+    x, y = (np.ascontiguousarray(line[:, :, i], dtype=np.float32) for i in (0, 1))
     samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(*x.shape, -1)
     sums = np.pad(np.cumsum(samples, axis=1, dtype=float), ((0, 0), (1, 0), (0, 0)))
     means = (sums[:, _SLOPE:] - sums[:, :-_SLOPE]) / _SLOPE
     slope = np.abs(means[:, _SLOPE:] - means[:, :-_SLOPE]).max(axis=2)  # of the colour that has the largest
     clear = slope.max(axis=1) > np.median(slope) + _CLEAR * float(mad_sigma(slope.ravel()))
-    return _Edges(error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear], len(at), px)
+    ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
+    ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
+    error = error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear]
+    return _Edges(error, (ray - centre) / radius @ pose.rotation.T, len(line), px)

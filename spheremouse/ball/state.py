@@ -18,6 +18,7 @@ from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -68,6 +69,7 @@ class BufferedFrame(NamedTuple):
     filter: Any  # the filter's state as predicted for it
     track: NDArray[np.intp] = _NO_TRACK  # (n,) number of each point: equal for the same point in another view
     camera: int = 0
+    ball_centre: SeenCentre | None = None  # by the ball's outline, from its place in the rig
 
     @property
     def attitude(self) -> Array:
@@ -116,6 +118,9 @@ class CentreCheck(NamedTuple):
     moved: bool = False  # it has been off, and an event has said so
     turned: float = 0.0  # rad the ball has turned about it, since it last moved far
     home: Array = np.zeros(3)  # (3,) m, obj, where it is usually
+    seen: SeenCentre | None = None  # by the ball's outline in the last frame, if it was measured
+    first: SeenCentre | None = None  # the same in the first frame; None after it has moved before it proved its place
+    away: int = 0  # frames in a row in which the outline was far from that place
 
 
 class Tracking(NamedTuple):

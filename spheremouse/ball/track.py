@@ -32,7 +32,7 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
 from spheremouse.ball.phases import colours
-from spheremouse.ball.phases.bearing import with_size_of_outline
+from spheremouse.ball.phases.bearing import with_outline, with_size_of_outline
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.points import intersect
 from spheremouse.ball.settings import Settings
@@ -148,6 +148,8 @@ def _stages(
     before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
+    if tracker.detector.is_exact and tracker.method.keeps_map:
+        state, predicted = with_outline(state, predicted, frame.image, tracker)
     detections, search = tracker.detector.detect(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)

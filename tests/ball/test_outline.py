@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from ball.test_pose import BLACK, VIEWS, picture_of_ball, rig_of
 
-from spheremouse.ball.outline import size_error, support
+from spheremouse.ball.outline import seen_centre, size_error, support
 
 NOISE = 4.0  # grey values, standard deviation
 
 
-def scene(view, free=360.0):
-    """Rig, pose and a noisy picture of a ball, of whose outline an arc of `free` degrees can be seen."""
+def scene(view, free=360.0, shift=(0.0, 0.0, 0.0)):
+    """Rig, pose and a noisy picture of a ball that is shifted, m. Of its outline an arc of `free` degrees is seen."""
     camera, pose = VIEWS[view]
     rig = rig_of(camera)
-    picture = picture_of_ball(rig, pose).astype(float)
+    picture = picture_of_ball(rig, replace(pose, position=pose.position - shift)).astype(float)
     v, u = np.mgrid[: picture.shape[0], : picture.shape[1]]
     ball = picture[..., 0] if picture.ndim == 3 else picture
     inside = ball > 0.5 * ball.max()
@@ -60,3 +60,26 @@ def test_a_picture_without_a_ball_shows_no_radius():
         assert size_error(picture, rig, pose) == (0.0, np.inf)
     within = replace(pose, position=0.5 * rig.ball.radius * pose.position / np.linalg.norm(pose.position))
     assert size_error(BLACK, rig, within) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("free", [360.0, 150.0])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.003, -0.002, 0.0), (-0.008, 0.008, 0.0)])
+def test_a_shift_across_the_line_of_sight_is_measured(view, free, shift):
+    rig, pose, picture = scene(view, free, shift)
+    seen = seen_centre(picture, rig, pose, np.zeros(3))
+    off = seen.place - seen.axes.T @ shift
+    assert np.abs(off).max() < (6e-4 if free == 360.0 else 2e-3)
+    assert off @ np.linalg.solve(seen.scatter + seen.common * np.eye(2), off) < 9.0
+
+
+def test_a_shift_is_no_error_of_the_radius():
+    """A mode of the radii alone would be that of the side to which the ball has moved."""
+    rig, pose, picture = scene("far", shift=(0.004, 0.003, 0.0))
+    assert abs(size_error(picture, rig, pose)[0]) < 0.002
+
+
+def test_a_picture_without_a_ball_shows_no_centre():
+    rig, pose, _ = scene("far")
+    for picture in (BLACK, BLACK + 255, BLACK[..., 0]):
+        assert seen_centre(picture, rig, pose, np.zeros(3)) is None

@@ -329,6 +329,25 @@ def with_rig_uncertainty(state: So3State, covariance: Array) -> So3State:
     return replace(state, joint=joint)
 
 
+def with_seen_centre(state: So3State, place: Array, axes: Array, covariance: Array) -> So3State:
+    """Return a predicted state corrected by the centre's `place`, (k,) m, along `axes`, (3, k), with its covariance.
+
+    Rate and acceleration keep their values, since the pending modes describe them.
+    """
+    P, C = state.joint, state.joint[:, CENTRE] @ axes
+    S = axes.T @ C[CENTRE] + covariance
+    K = np.linalg.solve(S, C.T).T
+    K[3:KINEMATIC_DIM] = 0.0
+    reduced = K @ C.T
+    joint = P - reduced - reduced.T + K @ S @ K.T
+    motion, joint, readout, rig_error = kernels.move(
+        (*state.body[:5], joint, *state.body[6:]), K @ (place - axes.T @ state.centre)
+    )
+    attitude, _, _, landmarks, basis = motion
+    fields = {"attitude": attitude, "landmarks": landmarks, "basis": basis, "joint": joint}
+    return replace(state, **fields, readout=readout, rig_error=rig_error)
+
+
 def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
     """Return the state with more covariance: any part of `turn`, (3,) rad, in obj, may be the camera's.
 

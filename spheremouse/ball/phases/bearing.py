@@ -17,14 +17,15 @@ from spheremouse.ball.events import BallLost, OutOfRound, Why, WrongSize
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
-from spheremouse.ball.outline import size_error
+from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays, with_seen_centre
+from spheremouse.ball.outline import SeenCentre, seen_centre, size_error
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
+from spheremouse.tracker import Status
 
 _DOUBT = 5e-3  # rad, of a disc that was found while the centre moved unseen
-_STEADY = 1e-3  # radii/sqrt(s), below which it no longer moves
+_STEADY = 1e-3  # radii/sqrt(s), least noise of a centre that has moved
 _NOISE_TIME_S = 0.4  # time constant of the estimate of that noise
 _OFF = 4.0  # mean squared deviations of a centre that is off; at most 3 are expected of one in its place
 _OFF_TIME_S = 0.3  # time constant of that mean; hands and struts spoil a disc for less
@@ -39,6 +40,7 @@ _FITS = 0.002  # radii, standard deviation of the shift that a frame of that pro
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _CERTAIN_SIGMAS = 3.0  # of the outline's radius
+_MOVED_SIGMAS, _MOVED_FRAMES = 5.0, 2  # of the way of an outline, and frames in a row
 _FRAME = 0.1  # s, the longest that one frame counts for
 
 
@@ -58,6 +60,47 @@ def with_size_of_outline(
     return state, (WrongSize(error),)
 
 
+def with_outline(
+    state: TrackState[So3State], predicted: So3State, image: Image, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], So3State]:
+    """Return state and prediction with the ball's centre by its outline in a frame.
+
+    The outline is measured in the first frame, while the ball turns until that has proven the centre's place, and while
+    the centre moves.
+    """
+    check, rate = state.centre, state.filter.rate
+    watched = state.frames == 0 or (check.turned < _PROVEN and float(rate @ rate) > _RESTS**2)
+    if predicted.others or not (predicted.centre_noise > 0.0 or (watched and state.status is not Status.LOST)):
+        return (state if check.seen is None else state._replace(centre=check._replace(seen=None))), predicted
+    home = tracker.rig.ball.centre
+    seen = seen_centre(image, tracker.rig, tracker.pose, home + predicted.centre)
+    if seen is None:
+        return state._replace(centre=check._replace(seen=None)), predicted
+    seen = seen._replace(place=seen.place - seen.axes.T @ home)
+    check = check._replace(seen=seen, first=seen if state.frames == 0 else check.first)
+    moves = predicted.centre_noise > 0.0
+    check = check._replace(away=check.away + 1 if not moves and _is_away(seen, check.first) else 0)
+    return state._replace(centre=check), _with_seen_centre(predicted, check) if moves else predicted
+
+
+def _is_away(seen: SeenCentre, first: SeenCentre | None) -> bool:
+    """Return whether the outline is far from its place in the first frame."""
+    if first is None:
+        return False
+    step, covariance = seen.place - first.place, seen.scatter + first.scatter + seen.common * np.eye(2)
+    return bool(step @ np.linalg.solve(covariance, step) > _MOVED_SIGMAS**2)
+
+
+def _with_seen_centre(predicted: So3State, check: CentreCheck) -> So3State:
+    """Return the state corrected by the centre of the outline. The first frame shows how shading shifts it."""
+    seen, first = check.seen, check.first
+    if seen is None:
+        return predicted
+    if first is None:
+        return with_seen_centre(predicted, seen.place, seen.axes, seen.scatter + seen.common * np.eye(2))
+    return with_seen_centre(predicted, seen.place - first.place, seen.axes, seen.scatter + first.scatter)
+
+
 def check_learning(
     before: TrackState[So3State], state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], Events]:
@@ -69,10 +112,11 @@ def check_learning(
     if not views or views[-1].camera != state.camera:
         return state, ()
     check, _ = _checked(state, _interval(before, stamp), tracker)
-    if check.evidence <= _OFF:
+    moves = check.away >= _MOVED_FRAMES
+    if check.evidence <= _OFF and not moves:
         return state._replace(centre=check), ()
     moved = tracker.filter.let_centre_move(state.filter)
-    state = state._replace(filter=moved, centre=CentreCheck(moved=True, wrong_rig=True))
+    state = state._replace(filter=moved, centre=CentreCheck(moved=True, wrong_rig=not moves))
     state = filtered_again(state, np.zeros((0, 2)), views, tracker)
     return state, () if check.moved else (OutOfRound(),)
 
@@ -96,21 +140,24 @@ def check_bearings(
     check, shift = _checked(state, dt, tracker)
     check = _compared(check, state, dt, tracker, predicted)
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
-    if check.evidence > _OFF or _has_wrong_rig(check) or refuted:
+    moves = check.away >= _MOVED_FRAMES
+    if check.evidence > _OFF or _has_wrong_rig(check) or refuted or moves:
         events = () if check.moved else (OutOfRound(),)
         unproven = check.turned < _PROVEN
-        static = unproven and not check.moved and check.odds_static > 0.0
-        wrong_rig = _has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS)
+        static = unproven and not (check.moved or moves) and check.odds_static > 0.0
+        wrong_rig = not moves and (_has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS))
         if wrong_rig or static:  # a few discs do not decide, so both doubts remain
             predicted = tracker.filter.with_rig_uncertainty(predicted)
+        first = check.first if wrong_rig or not unproven else None
         if not wrong_rig:
             predicted = _with_doubtful_map(predicted) if unproven else predicted
             predicted = tracker.filter.let_centre_move(predicted)
+            predicted = _with_seen_centre(predicted, check._replace(first=first))
         state = follow(before, stamp, tracker, predicted)
-        check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=0.0 if unproven else check.turned, home=check.home)
+        turned = 0.0 if unproven else check.turned
+        check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=turned, home=check.home, first=first)
     elif predicted.centre_noise > 0.0 and state.confirmed:
-        noise = _learnt_noise(predicted, state.filter, dt)
-        noise = noise if noise > (_STEADY * radius) ** 2 else 0.0
+        noise = max(_learnt_noise(before.filter, state.filter, dt), (_STEADY * radius) ** 2)
         state = state._replace(filter=replace(state.filter, centre_noise=noise))
     path = state.filter.centre - check.home
     if check.turned >= _PROVEN and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
@@ -217,14 +264,15 @@ def _with_doubtful_map(state: So3State) -> So3State:
     return replace(state, joint=joint)
 
 
-def _learnt_noise(predicted: So3State, filtered: So3State, dt: float) -> float:
+def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:
     """Return the noise of the centre, m²/s, after a frame: the mean square of its steps given the frame.
 
     This is expectation and maximisation (Shumway and Stoffer 1982) with a memory of `_NOISE_TIME_S`.
     """
-    q, P = predicted.centre_noise * dt, predicted.joint[CENTRE, CENTRE]
+    q = before.centre_noise * dt
+    P = before.joint[CENTRE, CENTRE] + q * np.eye(3)
     G = q * np.linalg.inv(P)
-    step = G @ (filtered.centre - predicted.centre)
+    step = G @ (filtered.centre - before.centre)
     C = q * np.eye(3) - G @ (P - filtered.joint[CENTRE, CENTRE]) @ G.T
     keep = math.exp(-dt / _NOISE_TIME_S)
-    return keep * predicted.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)
+    return keep * before.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)

@@ -13,7 +13,7 @@ from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
 from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without_effect
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
@@ -60,7 +60,10 @@ def learn(
         return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
-    views = (*phase.views, BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera))
+    views = (
+        *phase.views,
+        BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera, state.centre.seen),
+    )
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
@@ -114,6 +117,9 @@ def filtered_again(
             points = intersect(view.detections, tracker.rig, tracker.pose, filtered.rig_error, points.index)
         state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
+        if predicted.centre_noise > 0.0 and view.ball_centre is not None:
+            seen = view.ball_centre
+            predicted = with_seen_centre(predicted, seen.place, seen.axes, seen.scatter + seen.common * np.eye(2))
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
         confirmed_at = view.stamp if state.confirmed else state.confirmed_at

@@ -32,7 +32,7 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_map import augment
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_rig import Station
-from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, inject, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, inject, with_seen_centre, with_uncertain_turn
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -406,3 +406,21 @@ def test_a_false_turn_is_taken_back_without_a_push(seed):
     assert np.linalg.norm(after[1].rate) < 0.5 * np.linalg.norm(after[0].rate)
     assert np.linalg.norm(after[1].rate) < 3.0 * np.sqrt(np.trace(after[1].joint[3:6, 3:6]))
     assert np.linalg.norm(log(after[1].attitude @ R.T)) < 5.0 * SIGMA
+
+
+def test_a_seen_centre_corrects_all_but_the_motion():
+    """Joseph's form of the covariance holds for any gain, also without the rows of rate and acceleration."""
+    state, _ = settled(rate=(0.0, 1.0, 0.0), n=60)
+    state = FILTER.predict(FILTER.let_centre_move(state), state.stamp + DT)
+    axes, place, R = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 2)))[0], np.array([0.004, -0.003]), 1e-8
+    seen = with_seen_centre(state, place, axes, R * np.eye(2))
+    assert_allclose(axes.T @ seen.centre, place, atol=1e-5)
+    assert_allclose(seen.rate, state.rate, atol=0.0)
+    assert_allclose(seen.acceleration, state.acceleration, atol=0.0)
+    H = np.zeros((2, len(state.joint)))
+    H[:, CENTRE] = axes.T
+    K = state.joint @ H.T @ np.linalg.inv(H @ state.joint @ H.T + R * np.eye(2))
+    K[3:9] = 0.0
+    A = np.eye(len(K)) - K @ H
+    assert_allclose(np.diag(seen.joint), np.diag(A @ state.joint @ A.T + R * K @ K.T), rtol=1e-6, atol=1e-15)
+    assert np.linalg.eigvalsh(seen.joint).min() > -1e-12
