@@ -70,7 +70,6 @@ from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status
 
-_PROVEN_PX = 3.5  # path of the ball, in pixels of the chart, from which its turn is known better than what stands still
 TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
 _SEEN = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
@@ -119,7 +118,7 @@ def detect_texture(
         now = now._replace(last_plain_stamp=frame.stamp)
     found, anchors = _detections(detector.fine, alignment, tracker)
     proven = now.turned or now.proven
-    if alignment is not None and turns and not proven and _path(detector, now, alignment) > _PROVEN_PX:
+    if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
         proven = _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
     return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven)
 
@@ -167,6 +166,15 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     number = np.bincount(part[counts], minlength=len(power))
     total = np.bincount(part[counts], nats[counts], minlength=len(power)) / DETAIL
     return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _SEEN))
+
+
+def _apart(view: TextureView) -> int:
+    """Return the path, px, from which a sample and its place in the first frame share no grey value.
+
+    Their contrasts are those of a mean of means each. On a shorter path the noise of the first frame, and what stands
+    still, pull the alignment back to that frame.
+    """
+    return 2 * (view.widths[0] - 1)
 
 
 def _path(detector: TextureDetector, now: TextureState, alignment: Alignment | None) -> float:
