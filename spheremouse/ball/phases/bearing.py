@@ -40,6 +40,8 @@ _FITS = 0.002  # radii, standard deviation of the shift that a frame of that pro
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _CERTAIN_SIGMAS = 3.0  # of the outline's radius
+_WATCHED = 2.0 * math.pi  # rad, in which bearings show whether they are worn
+_DOUBTFUL = 1.0  # mean squared deviations by the discs, from which the outline is measured
 _MOVED_SIGMAS, _MOVED_FRAMES = 5.0, 2  # of the way of an outline, and frames in a row
 _FRAME = 0.1  # s, the longest that one frame counts for
 
@@ -65,20 +67,21 @@ def with_outline(
 ) -> tuple[TrackState[So3State], So3State]:
     """Return state and prediction with the ball's centre by its outline in a frame.
 
-    The outline is measured in the first frame, while the ball turns until that has proven the centre's place, and while
-    the centre moves.
+    The outline is measured in the first frame, during the first turn of the ball, if discs cause a doubt, and while the
+    centre moves.
     """
-    check, rate = state.centre, state.filter.rate
-    watched = state.frames == 0 or (check.turned < _PROVEN and float(rate @ rate) > _RESTS**2)
-    if predicted.others or not (predicted.centre_noise > 0.0 or (watched and state.status is not Status.LOST)):
+    check, moves = state.centre, predicted.centre_noise > 0.0
+    speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
+    watched = (speed > _RESTS and check.watched < _WATCHED) or check.evidence > _DOUBTFUL or state.frames == 0
+    if predicted.others or not (moves or (watched and state.status is not Status.LOST)):
         return (state if check.seen is None else state._replace(centre=check._replace(seen=None))), predicted
+    check = check._replace(watched=check.watched + speed * (predicted.stamp - state.filter.stamp))
     home = tracker.rig.ball.centre
     seen = seen_centre(image, tracker.rig, tracker.pose, home + predicted.centre)
     if seen is None:
         return state._replace(centre=check._replace(seen=None)), predicted
     seen = seen._replace(place=seen.place - seen.axes.T @ home)
     check = check._replace(seen=seen, first=seen if state.frames == 0 else check.first)
-    moves = predicted.centre_noise > 0.0
     check = check._replace(away=check.away + 1 if not moves and _is_away(seen, check.first) else 0)
     return state._replace(centre=check), _with_seen_centre(predicted, check) if moves else predicted
 
@@ -133,14 +136,15 @@ def check_bearings(
     If the frame shows a shift, filter it again with an uncertain rig, a centre that moves, or both. If the centre is
     then too far from its usual place, report the ball lost.
     """
-    if predicted.centre_noise == 0.0 and state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state):
+    moves = state.centre.away >= _MOVED_FRAMES
+    no_doubt = state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state)
+    if no_doubt and predicted.centre_noise == 0.0 and not moves:
         return state, ()
     radius, events = tracker.rig.ball.radius, ()
     dt = _interval(before, stamp)
     check, shift = _checked(state, dt, tracker)
     check = _compared(check, state, dt, tracker, predicted)
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
-    moves = check.away >= _MOVED_FRAMES
     if check.evidence > _OFF or _has_wrong_rig(check) or refuted or moves:
         events = () if check.moved else (OutOfRound(),)
         unproven = check.turned < _PROVEN
