@@ -121,6 +121,7 @@ class CentreCheck(NamedTuple):
     seen: SeenCentre | None = None  # by the ball's outline in the last frame, if it was measured
     first: SeenCentre | None = None  # the same in the first frame; None after it has moved before it proved its place
     away: int = 0  # frames in a row in which the outline was far from that place
+    drift: float = 0.0  # m, farthest from that place before
     watched: float = 0.0  # rad the ball has turned while the outline was measured
 
 

@@ -17,7 +17,7 @@ from spheremouse.ball.events import BallLost, OutOfRound, Why, WrongSize
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays, with_seen_centre
+from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays, with_seen_centre, with_uncertain_turn
 from spheremouse.ball.outline import SeenCentre, seen_centre, size_error
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
@@ -82,16 +82,17 @@ def with_outline(
         return state._replace(centre=check._replace(seen=None)), predicted
     seen = seen._replace(place=seen.place - seen.axes.T @ home)
     check = check._replace(seen=seen, first=seen if state.frames == 0 else check.first)
-    check = check._replace(away=check.away + 1 if not moves and _is_away(seen, check.first) else 0)
+    if not moves and check.first is not None:
+        check = _compared_with_first(check, seen, check.first)
     return state._replace(centre=check), _with_seen_centre(predicted, check) if moves else predicted
 
 
-def _is_away(seen: SeenCentre, first: SeenCentre | None) -> bool:
-    """Return whether the outline is far from its place in the first frame."""
-    if first is None:
-        return False
+def _compared_with_first(check: CentreCheck, seen: SeenCentre, first: SeenCentre) -> CentreCheck:
+    """Return the check with the way of the outline from its place in the first frame."""
     step, covariance = seen.place - first.place, seen.scatter + first.scatter + seen.common * np.eye(2)
-    return bool(step @ np.linalg.solve(covariance, step) > _MOVED_SIGMAS**2)
+    if float(step @ np.linalg.solve(covariance, step)) > _MOVED_SIGMAS**2:
+        return check._replace(away=check.away + 1)
+    return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
 
 
 def _with_seen_centre(predicted: So3State, check: CentreCheck) -> So3State:
@@ -152,9 +153,12 @@ def check_bearings(
         wrong_rig = not moves and (_has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS))
         if wrong_rig or static:  # a few discs do not decide, so both doubts remain
             predicted = tracker.filter.with_rig_uncertainty(predicted)
-        first = check.first if wrong_rig or not unproven else None
+        in_place = check.away > 0  # until now, as the outline shows
+        first = check.first if wrong_rig or in_place or not unproven else None
         if not wrong_rig:
-            predicted = _with_doubtful_map(predicted) if unproven else predicted
+            doubt = min(check.drift / radius, _DOUBT) if in_place else _DOUBT
+            predicted = _with_doubtful_map(predicted, doubt) if unproven else predicted
+            predicted = _with_doubtful_turn(predicted, before.centre, tracker)
             predicted = tracker.filter.let_centre_move(predicted)
             predicted = _with_seen_centre(predicted, check._replace(first=first))
         state = follow(before, stamp, tracker, predicted)
@@ -261,11 +265,19 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
     return speed * dt * min(1.0, (_FITS * radius) ** 2 / max(variance, 1e-18))
 
 
-def _with_doubtful_map(state: So3State) -> So3State:
-    """Return the state with discs as far off as the centre has moved unseen while they were found."""
+def _with_doubtful_map(state: So3State, doubt: float) -> So3State:
+    """Return the state with discs as far off, rad, as the centre has moved unseen while they were found."""
     joint, discs = state.joint.copy(), np.arange(state.map_row, len(state.joint) - CLONE_DIM)
-    joint[discs, discs] += _DOUBT**2
+    joint[discs, discs] += doubt**2
     return replace(state, joint=joint)
+
+
+def _with_doubtful_turn(state: So3State, before: CentreCheck, tracker: Tracker[So3Filter]) -> So3State:
+    """Return the state with the turn that a shift looked like, by the outline of the frame before, as uncertain."""
+    if before.seen is None or before.first is None:
+        return state
+    step = before.seen.axes @ (before.seen.place - before.first.place) / tracker.rig.ball.radius
+    return with_uncertain_turn(state, np.cross(tracker.filter.station.towards, step))
 
 
 def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:
