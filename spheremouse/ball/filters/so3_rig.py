@@ -62,6 +62,7 @@ class Station:
         direction = size / float(size @ size)
         known = float(direction @ covariance[:RIG_DIM, :RIG_DIM] @ direction)
         covariance[:RIG_DIM, :RIG_DIM] += max(self.size_error**2 - known, 0.0) * np.outer(size, size)
+        covariance[0, 0] += _TAPE_ERROR**2 * (self.size_error != 0.0)  # the focal length may be the wrong one
         exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
         focal, centre = _EXACT_RIG
         covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2

@@ -95,6 +95,11 @@ def _compared_with_first(check: CentreCheck, seen: SeenCentre, first: SeenCentre
     return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
 
 
+def _is_in_place(check: CentreCheck) -> bool:
+    """Return whether the outline of the last frame is where it was in the first."""
+    return check.seen is not None and check.first is not None and check.away == 0
+
+
 def _with_seen_centre(predicted: So3State, check: CentreCheck) -> So3State:
     """Return the state corrected by the centre of the outline. The first frame shows how shading shifts it."""
     seen, first = check.seen, check.first
@@ -119,8 +124,10 @@ def check_learning(
     moves = check.away >= _MOVED_FRAMES
     if check.evidence <= _OFF and not moves:
         return state._replace(centre=check), ()
-    moved = tracker.filter.let_centre_move(state.filter)
-    state = state._replace(filter=moved, centre=CentreCheck(moved=True, wrong_rig=not moves))
+    if not _is_in_place(check):
+        state = state._replace(filter=tracker.filter.let_centre_move(state.filter))
+    first = check.first if _is_in_place(check) else None
+    state = state._replace(centre=CentreCheck(moved=True, wrong_rig=not moves, first=first))
     state = filtered_again(state, np.zeros((0, 2)), views, tracker)
     return state, () if check.moved else (OutOfRound(),)
 
@@ -150,7 +157,9 @@ def check_bearings(
         events = () if check.moved else (OutOfRound(),)
         unproven = check.turned < _PROVEN
         static = unproven and not (check.moved or moves) and check.odds_static > 0.0
-        wrong_rig = not moves and (_has_wrong_rig(check) or (static and len(state.filter.used) >= _PAIRS))
+        stays = unproven and not check.moved and _is_in_place(check)
+        wrong_rig = _has_wrong_rig(check) or stays or (static and len(state.filter.used) >= _PAIRS)
+        wrong_rig = wrong_rig and not moves
         if wrong_rig or static:  # a few discs do not decide, so both doubts remain
             predicted = tracker.filter.with_rig_uncertainty(predicted)
         in_place = check.away > 0  # until now, as the outline shows
