@@ -1,7 +1,7 @@
-"""The ball's outline in a picture, and the radius that it shows.
+"""The ball's outline in a picture, and the radius and centre that it shows.
 
-Struts, the base and hands hide much of it, and shading gives other edges. So the radius on which most edges agree
-counts.
+The strongest edge on each normal of the predicted outline is a candidate. Struts, the base and hands hide much of the
+outline, and shading gives other edges. So the radius and the shift of the centre on which most edges agree count.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ _LEAST_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and 
 
 
 class SeenCentre(NamedTuple):
-    """The ball's centre across the line of sight."""
+    """The ball's centre by its outline, across the line of sight."""
 
     place: Array  # (2,) m, along the axes
     axes: Array  # (3, 2) unit vectors, obj

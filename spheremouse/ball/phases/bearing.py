@@ -1,8 +1,10 @@
-"""The ball's centre in its bearings: how the discs show that it moves.
+"""The ball's centre in its bearings: how discs and outline show that it moves.
 
 In a good bearing the centre stays in its place, or where the first seconds showed it, and costs nothing. If a shift of
-the centre explains places of discs that a rotation does not explain, the filter lets the centre move, as far as it has
-moved lately. A ball that is far from its usual place is lifted.
+the centre explains places of discs that a rotation does not explain, or if the ball's outline leaves its place, the
+filter lets the centre move, as far as it has moved lately. From then on it uses the outline of each frame, since discs
+alone confuse a shift across the line of sight with a turn. If discs do not fit while the outline stays, a length in the
+rig is wrong. A ball that is far from its usual place is lifted.
 """
 
 import math
