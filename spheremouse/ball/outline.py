@@ -19,6 +19,8 @@ _POINTS = 240  # of the outline
 _REACH = 0.05  # relative, largest error of the radius: five standard deviations of a tape
 _STEP_PX = 0.25  # between samples
 _SLOPE = 8  # samples on each side of an edge
+_BESIDE = 4  # samples that mix with a pixel beside them
+_MARGIN = 13  # px, twice that of the samples beyond that error, and a pixel
 _CLEAR = 5.0  # standard deviations of the slopes, from which one is an edge
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_PX = 0.3  # standard deviation of an outline from blur and shading
@@ -53,6 +55,17 @@ class _Fit(NamedTuple):
     weight: Array  # (n,) of the edges
     N: Array  # (3, 3) information, over that of one edge
     off: Array  # (n,) m, residuals
+
+
+def support_mask(rig: Rig, pose: Pose) -> Image:
+    """Return a mask, (h, w), 255 for the pixels beside the outline that this module reads, and for the ball."""
+    mask = np.zeros((rig.camera.height, rig.camera.width), np.uint8)
+    try:
+        uv = sphere_outline(pose.to_cam(rig.ball.centre), (1.0 + _REACH) * rig.ball.radius, rig.camera, _POINTS)
+    except np.linalg.LinAlgError:  # not wholly in front of the camera
+        return mask
+    cv2.fillPoly(mask, [np.rint(np.clip(uv, -1e4, 1e4)).astype(np.int32)], 255)
+    return np.asarray(cv2.dilate(mask, np.ones((_MARGIN, _MARGIN), np.uint8)), np.uint8)
 
 
 def support(image: Image, rig: Rig, pose: Pose) -> float:
@@ -137,10 +150,14 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     line = uv[inside, None] + error[:, None] / reach * (larger - uv)[inside, None]
     x, y = (np.ascontiguousarray(line[:, :, i], dtype=np.float32) for i in (0, 1))
     samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(*x.shape, -1)
+    black = cv2.dilate(np.all(samples == 0, axis=2).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _BESIDE + 1)))
     sums = np.pad(np.cumsum(samples, axis=1, dtype=float), ((0, 0), (1, 0), (0, 0)))
     means = (sums[:, _SLOPE:] - sums[:, :-_SLOPE]) / _SLOPE
     slope = np.abs(means[:, _SLOPE:] - means[:, :-_SLOPE]).max(axis=2)  # of the colour that has the largest
-    clear = slope.max(axis=1) > np.median(slope) + _CLEAR * float(mad_sigma(slope.ravel()))
+    unknown = black[:, _SLOPE : _SLOPE + slope.shape[1]] > 0  # a recording has no pixels there
+    usual = slope[~unknown] if not unknown.all() else np.zeros(1)
+    slope[unknown] = 0.0
+    clear = slope.max(axis=1) > np.median(usual) + _CLEAR * max(float(mad_sigma(usual)), 1e-6)
     ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
     ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
     error = error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear]

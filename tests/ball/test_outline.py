@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from ball.test_pose import BLACK, VIEWS, picture_of_ball, rig_of
 
-from spheremouse.ball.outline import seen_centre, size_error, support
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.outline import seen_centre, size_error, support, support_mask
 
 NOISE = 4.0  # grey values, standard deviation
 
@@ -83,3 +84,23 @@ def test_a_picture_without_a_ball_shows_no_centre():
     rig, pose, _ = scene("far")
     for picture in (BLACK, BLACK + 255, BLACK[..., 0]):
         assert seen_centre(picture, rig, pose, np.zeros(3)) is None
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("margin", [0.995, 1.01, 1.03])
+def test_the_edge_of_a_masked_recording_is_no_outline(view, margin):
+    """Pixels beyond the mask are black."""
+    rig, pose, picture = scene(view)
+    kept = ball_mask(with_radius(rig, margin), pose)
+    picture[kept == 0] = 0
+    error, sigma = size_error(picture, rig, pose)
+    assert abs(error) < 2.0 * sigma
+
+
+def test_no_other_pixel_is_read():
+    rig, pose, picture = scene("near", shift=(0.003, -0.002, 0.0))
+    black = np.where(support_mask(rig, pose) > 0, picture, 0)
+    assert size_error(black, rig, pose) == size_error(picture, rig, pose)
+    for near in (np.zeros(3), np.array([0.008, -0.008, 0.0])):
+        for one, other in zip(*(seen_centre(image, rig, pose, near) for image in (black, picture)), strict=True):
+            assert np.array_equal(one, other)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball import outline
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import Absence, why_no_disc
@@ -66,7 +67,7 @@ class Discs:
         return why_no_disc(image, rig, pose, settings.discs)
 
     def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
-        return disc_support(unmasked_detector(rig, pose, settings), clipped=True)
+        return disc_support(unmasked_detector(rig, pose, settings), clipped=True) | outline.support_mask(rig, pose)
 
 
 def unmasked_detector(rig: Rig, pose: Pose, settings: Settings) -> DiscDetector:
