@@ -42,7 +42,7 @@ _FITS = 0.002  # radii, standard deviation of the shift that a frame of that pro
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _CERTAIN_SIGMAS = 3.0  # of the outline's radius
-_WATCHED = 2.0 * math.pi  # rad, in which bearings show whether they are worn
+_WATCHED = 1.0  # rad of play in which bearings show whether they are worn
 _DOUBTFUL = 1.0  # mean squared deviations by the discs, from which the outline is measured
 _MOVED_SIGMAS, _MOVED_FRAMES = 5.0, 2  # of the way of an outline, and frames in a row
 _FRAME = 0.1  # s, the longest that one frame counts for
@@ -69,12 +69,13 @@ def with_outline(
 ) -> tuple[TrackState[So3State], So3State]:
     """Return state and prediction with the ball's centre by its outline in a frame.
 
-    The outline is measured in the first frame, during the first turn of the ball, if discs cause a doubt, and while the
+    The outline is measured in the first frame, while the ball first turns, if discs cause a doubt, and while the
     centre moves.
     """
     check, moves = state.centre, predicted.centre_noise > 0.0
     speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
-    watched = (speed > _RESTS and check.watched < _WATCHED) or check.evidence > _DOUBTFUL or state.frames == 0
+    doubt = check.evidence > _DOUBTFUL or state.filter.nis > _LARGE_NIS * len(state.filter.used)
+    watched = (speed > _RESTS and check.watched < _WATCHED) or doubt or state.frames == 0
     if predicted.others or not (moves or (watched and state.status is not Status.LOST)):
         return (state if check.seen is None else state._replace(centre=check._replace(seen=None))), predicted
     check = check._replace(watched=check.watched + speed * (predicted.stamp - state.filter.stamp))
