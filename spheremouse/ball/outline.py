@@ -20,7 +20,7 @@ _REACH = 0.05  # relative, largest error of the radius: five standard deviations
 _STEP_PX = 0.25  # between samples
 _SLOPE = 8  # samples on each side of an edge
 _BESIDE = 4  # samples that mix with a pixel beside them
-_MARGIN = 13  # px, twice that of the samples beyond that error, and a pixel
+_MARGIN = 13  # px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
 _CLEAR = 5.0  # standard deviations of the slopes, from which one is an edge
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_PX = 0.3  # standard deviation of an outline from blur and shading
@@ -37,6 +37,11 @@ class SeenCentre(NamedTuple):
     axes: Array  # (3, 2) unit vectors, obj
     scatter: Array  # (2, 2) m², covariance from the edges
     common: float  # m², variance that frames share, from shading
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the place, (2, 2) m²."""
+        return self.scatter + self.common * np.eye(2)
 
 
 class _Edges(NamedTuple):

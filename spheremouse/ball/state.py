@@ -199,7 +199,7 @@ class TrackState(NamedTuple, Generic[F]):
     centre: CentreCheck = CentreCheck()
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
-    rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
+    rebuilt: Tracker[Any] | None = None  # for a new pose of the camera, or the outline's size; None: neither
     readout_known: bool = False  # play has shown what the rolling shutter takes
     frames: int = 0  # since the tracker began
     camera: int = 0  # number of the camera that showed the last frame
@@ -249,7 +249,7 @@ def statistics(state: TrackState) -> dict[str, float]:
 
 
 def current(state: TrackState | CameraState, tracker: Tracker[K]) -> Tracker[K]:
-    """Return the tracker in use: `tracker`, or the one that was rebuilt for a new camera pose."""
+    """Return the tracker in use: `tracker`, or the one that was rebuilt for a new pose or size."""
     return tracker if state.rebuilt is None else state.rebuilt
 
 

@@ -57,12 +57,14 @@ class Station:
         """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
         A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
         covariance[:7, :7], covariance[7, 7] = A @ self.considered @ A.T, self.readout_sigma**2
-        effect, size = self.focal_sigma * self.common_by_focal(), self.common_by_size()
+        effect = self.focal_sigma * self.common_by_focal()
         covariance[:RIG_DIM, :RIG_DIM] += np.outer(effect, effect)
-        direction = size / float(size @ size)
-        known = float(direction @ covariance[:RIG_DIM, :RIG_DIM] @ direction)
-        covariance[:RIG_DIM, :RIG_DIM] += max(self.size_error**2 - known, 0.0) * np.outer(size, size)
-        covariance[0, 0] += _TAPE_ERROR**2 * (self.size_error != 0.0)  # the focal length may be the wrong one
+        if self.size_error != 0.0:
+            size = self.common_by_size()
+            direction = size / float(size @ size)
+            known = float(direction @ covariance[:RIG_DIM, :RIG_DIM] @ direction)
+            covariance[:RIG_DIM, :RIG_DIM] += max(self.size_error**2 - known, 0.0) * np.outer(size, size)
+            covariance[0, 0] += _TAPE_ERROR**2  # the focal length may be the wrong one
         exact = np.flatnonzero(covariance.diagonal()[:RIG_DIM] == 0.0)
         focal, centre = _EXACT_RIG
         covariance[exact, exact] = np.array([focal, *[centre * self.radius] * 3])[exact] ** 2

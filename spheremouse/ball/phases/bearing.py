@@ -92,7 +92,7 @@ def with_outline(
 
 def _compared_with_first(check: CentreCheck, seen: SeenCentre, first: SeenCentre) -> CentreCheck:
     """Return the check with the way of the outline from its place in the first frame."""
-    step, covariance = seen.place - first.place, seen.scatter + first.scatter + seen.common * np.eye(2)
+    step, covariance = seen.place - first.place, seen.covariance + first.scatter
     if float(step @ np.linalg.solve(covariance, step)) > _MOVED_SIGMAS**2:
         return check._replace(away=check.away + 1)
     return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
@@ -109,7 +109,7 @@ def _with_seen_centre(predicted: So3State, check: CentreCheck) -> So3State:
     if seen is None:
         return predicted
     if first is None:
-        return with_seen_centre(predicted, seen.place, seen.axes, seen.scatter + seen.common * np.eye(2))
+        return with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
     return with_seen_centre(predicted, seen.place - first.place, seen.axes, seen.scatter + first.scatter)
 
 

@@ -119,7 +119,7 @@ def filtered_again(
         predicted = tracker.filter.predict(filtered, view.stamp)
         if predicted.centre_noise > 0.0 and view.ball_centre is not None:
             seen = view.ball_centre
-            predicted = with_seen_centre(predicted, seen.place, seen.axes, seen.scatter + seen.common * np.eye(2))
+            predicted = with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
         state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
         confirmed_at = view.stamp if state.confirmed else state.confirmed_at
