@@ -292,12 +292,8 @@ def test_a_wrong_argument_is_named():
     good = [body, points, pairs, pending, activity(VARIANCES)]
     for at, wrong, name in [
         (0, (*body[:5], P[:5], *body[6:]), "joint"),
-        (0, (*body[:5], P.astype(np.float32), *body[6:]), "joint"),
-        (0, (body[0], np.zeros(4), *body[2:]), "rate"),
-        (0, (*body[:2], [1.0, 2.0, 3.0], *body[3:]), "acceleration"),
         (2, (*pairs[:2], np.zeros((8, 9))), "added"),
         (2, (pairs[0], pairs[1][:3], pairs[2]), "columns"),
-        (3, (np.zeros(9), *pending[1:]), "process"),
         (3, (*pending[:3], (np.zeros((2, 6)), *modes[1:])), "modes"),
         (4, activity(VARIANCES[:2].copy()), "weights"),
         (4, (*good[4][:4], np.zeros(1), good[4][5]), "drift"),
