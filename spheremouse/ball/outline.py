@@ -33,7 +33,7 @@ _LEAST_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and 
 class SeenCentre(NamedTuple):
     """The ball's centre by its outline, across the line of sight."""
 
-    place: Array  # (2,) m, along the axes
+    place: Array  # (2,) m, along the axes, from its place in the rig
     axes: Array  # (3, 2) unit vectors, obj
     scatter: Array  # (2, 2) m², covariance from the edges
     common: float  # m², variance that frames share, from shading
@@ -42,6 +42,14 @@ class SeenCentre(NamedTuple):
     def covariance(self) -> Array:
         """Covariance of the place, (2, 2) m²."""
         return self.scatter + self.common * np.eye(2)
+
+
+class SeenBall(NamedTuple):
+    """The ball's size and centre by its outline."""
+
+    size_error: float  # relative, of the rig's radius; 0 if the outline does not show it
+    sigma: float  # standard deviation of that; infinite if the outline does not show it
+    centre: SeenCentre
 
 
 class _Edges(NamedTuple):
@@ -83,27 +91,28 @@ def support(image: Image, rig: Rig, pose: Pose) -> float:
     return max(0.0, (near - chance) / (1.0 - chance))
 
 
-def size_error(image: Image, rig: Rig, pose: Pose) -> tuple[float, float]:
-    """Return the relative error of the rig's radius that the ball's outline shows, and its standard deviation.
+def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
+    """Return the ball that the outline shows; None if too little of it is seen.
 
-    A fifth of the outline must have an edge at one radius, and half as much at most at the rig's if that is another.
-    Otherwise the result is no error, of infinite standard deviation. `image` is (h, w) or (h, w, 3), and `pose` that of
-    its camera.
+    The size is unknown unless a fifth of the outline has an edge at one radius, and half as much at most at the rig's
+    if that is another. `image` is (h, w) or (h, w, 3), and `pose` that of its camera.
     """
-    found, radius, unknown = _edges(image, rig, pose, rig.ball.centre), rig.ball.radius, (0.0, np.inf)
-    if len(found.error) < _LEAST_SUPPORT * found.normals or found.normals < _LEAST_SUPPORT * _POINTS:
-        return unknown
+    home, radius = rig.ball.centre, rig.ball.radius
+    found = _edges(image, rig, pose, home)
+    if not _suffices(found, _POINTS):
+        return None
     error, sigma = np.sort(found.error), _EDGE_PX / found.px
     agree = np.searchsorted(error, error + 4.0 * sigma, "right") - np.arange(len(error))
     first = int(agree.argmax())
-    towards = pose.position - rig.ball.centre  # a larger ball looks like one that is nearer by the same share
+    towards = pose.position - home  # a larger ball looks like one that is nearer by the same share
     at_mode = float(error[first : first + agree[first]].mean()) * towards
-    fit = max((_fit(found, radius, start) for start in (at_mode, np.zeros(3))), key=lambda fit: fit.weight.sum())
+    as_rig, at_mode = (_fit(found, radius, start) for start in (np.zeros(3), at_mode))
+    fit = max(at_mode, as_rig, key=lambda fit: fit.weight.sum())
     size = float(towards @ fit.shift) / float(towards @ towards)
     agree, rivals = (int(np.count_nonzero(np.abs(off) < 2.0 * sigma * radius)) for off in (fit.off, radius * error))
     if agree < _LEAST_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
-        return unknown
-    return size, sigma
+        return SeenBall(0.0, np.inf, _centre(as_rig, found, rig, pose, home))
+    return SeenBall(size, sigma, _centre(fit, found, rig, pose, home))
 
 
 def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array) -> SeenCentre | None:
@@ -113,15 +122,24 @@ def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array) -> SeenCent
     the outline is seen.
     """
     found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _REACH)
-    if len(found.error) < _LEAST_SUPPORT * found.normals or found.normals < 0.5 * _LEAST_SUPPORT * _POINTS:
+    if not _suffices(found, _POINTS // 2):
         return None
-    fit = _fit(found, rig.ball.radius, np.zeros(3))
+    return _centre(_fit(found, rig.ball.radius, np.zeros(3)), found, rig, pose, expected)
+
+
+def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> SeenCentre:
+    """Return the centre by a fit to the edges about the `expected` one."""
     towards = pose.position - expected
     axes = tangent_basis(towards / np.linalg.norm(towards))
     variance = float(fit.weight @ fit.off**2) / max(float(fit.weight.sum()) - 3.0, 1.0)
     scatter = _SHARED * variance * axes.T @ np.linalg.pinv(fit.N, hermitian=True) @ axes
     common = (_SIDE_PX / found.px * rig.ball.radius) ** 2
-    return SeenCentre(axes.T @ (expected + fit.shift), axes, scatter, common)
+    return SeenCentre(axes.T @ (expected + fit.shift - rig.ball.centre), axes, scatter, common)
+
+
+def _suffices(found: _Edges, points: int) -> bool:
+    """Return whether enough of an outline of so many points is in the picture, with an edge."""
+    return len(found.error) >= _LEAST_SUPPORT * found.normals and found.normals >= _LEAST_SUPPORT * points
 
 
 def _fit(found: _Edges, radius: float, start: Array) -> _Fit:

@@ -26,6 +26,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Estimate, Event, Frame, Status
 
+_MOVED_FRAMES = 2  # in a row: one may show a false edge
 _NO_TRACK = np.zeros(0, dtype=np.intp)
 RECENT_S = 0.15  # s, for which a camera's last frame counts beside those of another: five frames at 30 Hz
 SURE = 10  # sightings from which a disc is worth keeping
@@ -69,7 +70,7 @@ class BufferedFrame(NamedTuple):
     filter: Any  # the filter's state as predicted for it
     track: NDArray[np.intp] = _NO_TRACK  # (n,) number of each point: equal for the same point in another view
     camera: int = 0
-    ball_centre: SeenCentre | None = None  # by the ball's outline, from its place in the rig
+    ball_centre: SeenCentre | None = None  # by the ball's outline, if it was measured
 
     @property
     def attitude(self) -> Array:
@@ -118,11 +119,27 @@ class CentreCheck(NamedTuple):
     moved: bool = False  # it has been off, and an event has said so
     turned: float = 0.0  # rad the ball has turned about it, since it last moved far
     home: Array = np.zeros(3)  # (3,) m, obj, where it is usually
-    seen: SeenCentre | None = None  # by the ball's outline in the last frame, if it was measured
-    first: SeenCentre | None = None  # the same in the first frame; None after it has moved before it proved its place
-    away: int = 0  # frames in a row in which the outline was far from that place
+
+
+class OutlineCheck(NamedTuple):
+    """Check of the ball's centre by its outline, at one pose of the camera."""
+
+    begun: bool = False  # the first frame has been measured
+    seen: SeenCentre | None = None  # in the last frame, if it was measured
+    first: SeenCentre | None = None  # in the first frame; None after the centre moved before it proved its place
+    away: int = 0  # frames in a row in which the outline was far from its first place
     drift: float = 0.0  # m, farthest from that place before
     watched: float = 0.0  # rad the ball has turned while the outline was measured
+
+    @property
+    def has_moved(self) -> bool:
+        """Return whether the outline has left its first place, for longer than one false edge lasts."""
+        return self.away >= _MOVED_FRAMES
+
+    @property
+    def is_in_place(self) -> bool:
+        """Return whether the outline of the last frame is where it was in the first."""
+        return self.seen is not None and self.first is not None and self.away == 0
 
 
 class Tracking(NamedTuple):
@@ -160,6 +177,7 @@ class CameraState(NamedTuple):
     search: Any
     colours: Colours
     centre: CentreCheck
+    outline: OutlineCheck
     watch: CameraMonitor | None
     rebuilt: Tracker[Any] | None
     readout_known: bool
@@ -197,6 +215,7 @@ class TrackState(NamedTuple, Generic[F]):
     search: Any = SearchState()  # of the detector: for discs that are not on the map yet, or what it knows of a texture
     colours: Colours = Colours()
     centre: CentreCheck = CentreCheck()
+    outline: OutlineCheck = OutlineCheck()
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: CameraMonitor | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for a new pose of the camera, or the outline's size; None: neither

@@ -25,6 +25,7 @@ from spheremouse.ball.events import (
     Doubt,
     MotionReleased,
     MotionWithheld,
+    OutOfRound,
     ReadoutKnown,
     TargetsHidden,
     Why,
@@ -32,8 +33,8 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
 from spheremouse.ball.phases import colours
-from spheremouse.ball.phases.bearing import with_outline, with_size_of_outline
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
+from spheremouse.ball.phases.seen_centre import with_first_outline, with_outline
 from spheremouse.ball.points import intersect
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
@@ -41,6 +42,7 @@ from spheremouse.ball.state import (
     Events,
     Learning,
     Lost,
+    OutlineCheck,
     Phase,
     Recognising,
     Tracker,
@@ -77,11 +79,6 @@ def step(
     check_size(frame, tracker.rig.camera)
     state = facing(state, frame.camera)
     tracker = current(state, tracker)
-    if state.frames == 0 and tracker.method.keeps_map and tracker.detector.sees_discs and state.rebuilt is None:
-        state, events = with_size_of_outline(state, frame.image, tracker)
-        if events:
-            done = step(state, frame, tracker, detected, seek)
-            return done._replace(events=(*events, *done.events))
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
     if state.watch.away is not None:
@@ -91,6 +88,8 @@ def step(
     watch, odd = watching.check_next_target(watch, frame.image, frame.stamp, camera_moved.bump_suspected(done.state))
     if watch is not done.state.watch:
         done = done._replace(state=done.state._replace(watch=watch))
+    # A pushed camera looks like a ball out of round
+    odd |= any(isinstance(event, OutOfRound) for event in done.events)
     if odd or watch.asked or camera_moved.out_of_sight(done.state, frame.stamp):
         done = _with_check(state._replace(watch=watch), done, frame, tracker, seek)
     if state.status is Status.TRACKING and done.state.status is Status.LOST and camera_moved.hidden(done.state.watch):
@@ -145,14 +144,19 @@ def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
     """Process one frame of an unmoved camera."""
-    before = state.colours
+    before, events = state.colours, ()
     state = colours.with_trial(state, frame, tracker)
+    uses_outline, begun = tracker.detector.is_exact and tracker.method.keeps_map, state.outline.begun
+    if uses_outline and not begun:
+        state, events = with_first_outline(state, frame.image, tracker)
+        tracker = current(state, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
-    if tracker.detector.is_exact and tracker.method.keeps_map:
+    if uses_outline and begun:
         state, predicted = with_outline(state, predicted, frame.image, tracker)
     detections, search = tracker.detector.detect(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
+    done = done._replace(events=(*events, *done.events))
     done = colours.refined(done, frame, tracker)
     return done if done.state.colours is before else colours.with_colour_event(done, before)
 
@@ -192,6 +196,7 @@ def _with_new_pose(
         search=_kept_search(state, anew),
         watch=watch,
         centre=CentreCheck(),
+        outline=OutlineCheck(),
         rebuilt=anew,
     )
     done = _stages(state, frame, anew)

@@ -7,7 +7,7 @@ import pytest
 from ball.test_pose import BLACK, VIEWS, picture_of_ball, rig_of
 
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.outline import seen_centre, size_error, support, support_mask
+from spheremouse.ball.outline import seen_ball, seen_centre, support, support_mask
 
 NOISE = 4.0  # grey values, standard deviation
 
@@ -34,33 +34,35 @@ def with_radius(rig, factor):
 @pytest.mark.parametrize("factor", [0.96, 0.985, 1.01, 1.03])
 def test_a_wrong_radius_is_measured(view, factor):
     rig, pose, picture = scene(view)
-    error, sigma = size_error(picture, with_radius(rig, factor), pose)
-    assert abs(error - (1.0 / factor - 1.0)) < 2.0 * sigma < 0.005
+    seen = seen_ball(picture, with_radius(rig, factor), pose)
+    assert abs(seen.size_error - (1.0 / factor - 1.0)) < 2.0 * seen.sigma < 0.005
+    assert np.abs(seen.centre.place).max() < 6e-4
 
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_the_right_radius_is_confirmed(view):
     rig, pose, picture = scene(view)
-    error, sigma = size_error(picture, rig, pose)
-    assert abs(error) < 2.0 * sigma
+    seen = seen_ball(picture, rig, pose)
+    assert abs(seen.size_error) < 2.0 * seen.sigma
     assert support(picture, rig, pose) > 0.9
     assert support(picture, with_radius(rig, 1.04), pose) < 0.1
 
 
 def test_a_third_of_the_outline_is_enough_and_a_tenth_is_not():
     rig, pose, picture = scene("far", free=120.0)
-    assert size_error(picture, with_radius(rig, 1.02), pose)[0] == pytest.approx(1.0 / 1.02 - 1.0, abs=0.003)
+    assert seen_ball(picture, with_radius(rig, 1.02), pose).size_error == pytest.approx(1.0 / 1.02 - 1.0, abs=0.003)
     rig, pose, picture = scene("far", free=36.0)
-    assert size_error(picture, with_radius(rig, 1.02), pose) == (0.0, np.inf)
+    assert seen_ball(picture, with_radius(rig, 1.02), pose) is None
 
 
 def test_a_picture_without_a_ball_shows_no_radius():
     rig, pose, _ = scene("far")
     noise = np.random.default_rng(1).integers(0, 255, BLACK.shape, dtype=np.uint8)
-    for picture in (BLACK, BLACK + 255, BLACK[..., 0], noise):
-        assert size_error(picture, rig, pose) == (0.0, np.inf)
+    assert all(seen_ball(picture, rig, pose) is None for picture in (BLACK, BLACK + 255, BLACK[..., 0]))
+    seen = seen_ball(noise, rig, pose)
+    assert seen is None or seen.sigma == np.inf
     within = replace(pose, position=0.5 * rig.ball.radius * pose.position / np.linalg.norm(pose.position))
-    assert size_error(BLACK, rig, within) == (0.0, np.inf)
+    assert seen_ball(BLACK, rig, within) is None
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -77,7 +79,9 @@ def test_a_shift_across_the_line_of_sight_is_measured(view, free, shift):
 def test_a_shift_is_no_error_of_the_radius():
     """A mode of the radii alone would be that of the side to which the ball has moved."""
     rig, pose, picture = scene("far", shift=(0.004, 0.003, 0.0))
-    assert abs(size_error(picture, rig, pose)[0]) < 0.002
+    seen = seen_ball(picture, rig, pose)
+    assert abs(seen.size_error) < 0.002
+    assert np.abs(seen.centre.place - seen.centre.axes.T @ [0.004, 0.003, 0.0]).max() < 6e-4
 
 
 def test_a_picture_without_a_ball_shows_no_centre():
@@ -93,14 +97,15 @@ def test_the_edge_of_a_masked_recording_is_no_outline(view, margin):
     rig, pose, picture = scene(view)
     kept = ball_mask(with_radius(rig, margin), pose)
     picture[kept == 0] = 0
-    error, sigma = size_error(picture, rig, pose)
-    assert abs(error) < 2.0 * sigma
+    seen = seen_ball(picture, rig, pose)
+    assert seen is None or abs(seen.size_error) < 2.0 * seen.sigma
 
 
 def test_no_other_pixel_is_read():
     rig, pose, picture = scene("near", shift=(0.003, -0.002, 0.0))
     black = np.where(support_mask(rig, pose) > 0, picture, 0)
-    assert size_error(black, rig, pose) == size_error(picture, rig, pose)
+    one, other = (seen_ball(image, rig, pose) for image in (black, picture))
+    np.testing.assert_equal(one._asdict(), other._asdict())
     for near in (np.zeros(3), np.array([0.008, -0.008, 0.0])):
-        for one, other in zip(*(seen_centre(image, rig, pose, near) for image in (black, picture)), strict=True):
-            assert np.array_equal(one, other)
+        one, other = (seen_centre(image, rig, pose, near) for image in (black, picture))
+        np.testing.assert_equal(one._asdict(), other._asdict())

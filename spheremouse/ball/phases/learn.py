@@ -62,7 +62,7 @@ def learn(
     track, next_track = follow_points(phase.views, centre, phase.next_track)
     views = (
         *phase.views,
-        BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera, state.centre.seen),
+        BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera, state.outline.seen),
     )
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it

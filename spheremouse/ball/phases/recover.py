@@ -9,6 +9,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.bearing import back_on_bearings
 from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, RISK, recognised_attitude, updated_hypotheses
 from spheremouse.ball.phases.learn import found, learn
+from spheremouse.ball.phases.seen_centre import RESTS
 from spheremouse.ball.state import (
     BufferedFrame,
     Events,
@@ -29,7 +30,6 @@ from spheremouse.tracker import Status
 
 _MIN_DISCS_AGAINST_MAP = 4  # in view
 _NEW_CENTRE_AFTER_S = 5.0  # a ball off its centre for so long stays there: a new map begins about the new centre
-_RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 
 
 def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
@@ -111,7 +111,7 @@ def _where_it_was(
     """
     filter_ = tracker.filter
     placed = relocate(state.filter, state.reported_attitude, IDENTIFY_SIGMA, tracker.settings.so3, stamp, np.zeros(3))
-    placed.joint[3:6, 3:6] = _RESTS**2 * np.eye(3)
+    placed.joint[3:6, 3:6] = RESTS**2 * np.eye(3)
     filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
     seen = filtered.known_seen
     if seen < 2 or filtered.known_missed > seen or not filter_.is_significant(placed, seen, len(state.points)):

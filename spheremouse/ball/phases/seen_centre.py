@@ -1,0 +1,94 @@
+"""The ball's centre by its outline: when it is measured, whether it has moved, and what the filter takes of it.
+
+The outline is measured in the first frame, while the ball first turns, if discs cause a doubt, and while the centre
+moves. Shading shifts it by about the same in each frame, so its first place counts as that of the rig's centre.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.events import WrongSize
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_state import So3State, with_seen_centre, with_uncertain_turn
+from spheremouse.ball.outline import seen_ball, seen_centre
+from spheremouse.ball.state import Events, OutlineCheck, Tracker, TrackState
+from spheremouse.tracker import Status
+
+LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
+RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
+_CERTAIN_SIGMAS = 3.0  # of the outline's radius
+_WATCHED = 1.0  # rad of play in which bearings show whether they are worn
+_DOUBTFUL = 1.0  # mean squared deviations by the discs, from which the outline is measured
+_MOVED_SIGMAS = 5.0  # of the way of an outline
+
+
+def with_first_outline(
+    state: TrackState[So3State], image: Image, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state before the first frame at a pose, `image`, with the place that the ball's outline shows.
+
+    The first frame of all also shows the radius. If that differs from the rig's by more than the outline's error, one
+    of them is wrong: the outline may be that of an opening before the ball. So the standard deviation of the radius is
+    as large as the difference.
+    """
+    if state.others or state.status is Status.LOST:
+        return state, ()
+    ball = seen_ball(image, tracker.rig, tracker.pose)
+    if ball is None:
+        return state._replace(outline=OutlineCheck(begun=True)), ()
+    first = ball.centre if state.filter.centre_noise == 0.0 else None
+    state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first))
+    if state.frames > 0 or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
+        return state, ()
+    stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
+    state = state._replace(filter=stage.with_station(state.filter), rebuilt=replace(tracker, filter=stage))
+    return state, (WrongSize(ball.size_error),)
+
+
+def with_outline(
+    state: TrackState[So3State], predicted: So3State, image: Image, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], So3State]:
+    """Return state and prediction with the ball's centre by its outline in a frame, if this one is to be measured."""
+    check, moves = state.outline, predicted.centre_noise > 0.0
+    speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
+    doubt = state.centre.evidence > _DOUBTFUL or state.filter.nis > LARGE_NIS * len(state.filter.used)
+    watched = (speed > RESTS and check.watched < _WATCHED) or doubt
+    if predicted.others or not (moves or (watched and state.status is not Status.LOST)):
+        return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
+    seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
+    check = check._replace(seen=seen, watched=check.watched + speed * (predicted.stamp - state.filter.stamp))
+    if moves:
+        return state._replace(outline=check), corrected(predicted, check)
+    return state._replace(outline=_compared_with_first(check)), predicted
+
+
+def corrected(predicted: So3State, check: OutlineCheck) -> So3State:
+    """Return the state corrected by the centre of the outline in the last frame, if it was measured."""
+    seen, first = check.seen, check.first
+    if seen is None:
+        return predicted
+    if first is None:
+        return with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
+    return with_seen_centre(predicted, seen.place - first.place, seen.axes, seen.scatter + first.scatter)
+
+
+def with_doubtful_turn(state: So3State, check: OutlineCheck, tracker: Tracker[So3Filter]) -> So3State:
+    """Return the state with the turn that a shift of the centre looked like as uncertain."""
+    if check.seen is None or check.first is None:
+        return state
+    step = check.seen.axes @ (check.seen.place - check.first.place) / tracker.rig.ball.radius
+    return with_uncertain_turn(state, np.cross(tracker.filter.station.towards, step))
+
+
+def _compared_with_first(check: OutlineCheck) -> OutlineCheck:
+    """Return the check with the way of the outline from its place in the first frame."""
+    seen, first = check.seen, check.first
+    if seen is None or first is None:
+        return check
+    step, covariance = seen.place - first.place, seen.covariance + first.scatter
+    if float(step @ np.linalg.solve(covariance, step)) > _MOVED_SIGMAS**2:
+        return check._replace(away=check.away + 1)
+    return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
