@@ -1,5 +1,6 @@
 """Construction of a tracker from a device, a pose and settings, and of its state before the first frame."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -113,7 +114,8 @@ def check_view(rig: Rig, pose: Pose) -> None:
 def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = None) -> Tracker:
     """Build the tracker for a device and one camera pose.
 
-    If the detector of `before` is of the same device, pose and settings, it is used again.
+    If the detector of `before` is of the same device, pose and settings, it is used again. So is the size of the ball
+    that an outline has shown to a tracker of the same device.
     Raises ConfigurationError if the ball has no discs, and PoseError if the camera cannot see the ball: it is inside
     the ball, the ball is not in front of it, or the ball is outside the image.
     """
@@ -134,6 +136,8 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
             pose.by_focal,
             pose.along_axis(rig.ball.centre),
         )
+        if before is not None and before.rig is rig and isinstance(before.filter, So3Filter):
+            station = replace(station, size_error=before.filter.station.size_error)
         stage = So3Filter(settings.so3, station, detector.landmark_angle(rig))
     else:
         from spheremouse.ball.published.euler import ConstantDiscsFilter, StateDiscsFilter

@@ -563,12 +563,13 @@ def test_a_spot_that_slides_over_the_ball_never_joins_the_map():
     assert len(state.filter.discs) == len(discs)
 
 
-def _pushed(push, seconds, grey):
+def _pushed(push, seconds, grey, **options):
     """A rolling ball whose camera is pushed at 0.5 s: steps, true attitudes, the tracker given, and the new pose.
 
     `grey`: of a frame, whether it comes without colour, from its state before and its stamp.
     """
-    sim = prepare(SimulationOptions(motion="roll", turns=1.0, noise=3.0, seconds=seconds, bump=0.5, bump_by=push))
+    options = {"motion": "roll", "turns": 1.0, "noise": 3.0, "bump": 0.5, **options}
+    sim = prepare(SimulationOptions(seconds=seconds, bump_by=push, **options))
     tracker = build(sim.scene.rig(), sim.scene.pose, SO3)
     state, steps, attitudes = begin(tracker, 0.0), [], []
     for made in simulate(sim):
@@ -607,6 +608,18 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     sent = np.cumsum(counts_of([s.estimate for s in steps], tracker.rig), axis=0)
     turns = [MATRIX @ log(b @ a.T) for a, b in pairwise(attitudes)]
     assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
+
+
+def test_a_camera_pushed_in_the_first_turn_is_no_ball_out_of_round():
+    """The discs alone would fit a ball that moves in its bearings."""
+    steps, attitudes, *_ = _pushed(
+        (2.0, -2.0, 1.0, 0.1, -0.1, 0.1), 1.0, lambda *_: False, motion="play", seed=2, bump=0.7
+    )
+    events = [type(event) for done in steps for event in done.events]
+    assert CameraMoved in events
+    assert OutOfRound not in events
+    off = [log(done.state.filter.attitude @ R.T) for done, R in zip(steps, attitudes, strict=True)]
+    assert np.degrees(np.sqrt(np.mean(np.square(off)))) < 0.01
 
 
 def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
@@ -654,6 +667,7 @@ def test_a_pose_estimated_anew_and_other_settings_move_nothing():
         nearly = Pose(exp(np.array([0.0, 2e-4, 0.0])) @ pose.rotation, pose.position + np.array([0.0, 0.0, 5e-4]))
         made = with_pose(s, f, t, nearly)
         assert isinstance(made.events[0], CameraMoved)
+        assert made.state.outline.is_in_place  # where the new pose shows it
         return made, t
 
     def other_levels(s, f, t):
@@ -665,6 +679,16 @@ def test_a_pose_estimated_anew_and_other_settings_move_nothing():
         assert state.status is Status.TRACKING
         assert np.abs(sums - expected).max() <= 2.0
         assert np.linalg.norm(log(state.filter.attitude @ plain.filter.attitude.T)) < 1e-3
+
+
+def test_other_settings_keep_the_size_that_the_outline_has_shown():
+    sim = prepare(SimulationOptions(motion="still", noise=3.0, seconds=0.1))
+    rig = sim.scene.rig()
+    tracker = build(replace(rig, ball=replace(rig.ball, radius=1.016 * rig.ball.radius)), sim.scene.pose, SO3)
+    state = step(begin(tracker, 0.0), next(simulate(sim)).frame, tracker).state
+    _, other = with_settings(state, tracker, replace(SO3, so3=replace(SO3.so3, levels=(1.0, 8.0, 64.0, 512.0))))
+    assert other.filter.initial(0.0, np.eye(3)).centre @ sim.scene.pose.position < 0.0
+    assert_allclose(other.filter.initial(0.0, np.eye(3)).centre, state.filter.centre)
 
 
 def test_another_filter_begins_at_the_last_attitude():
