@@ -174,9 +174,6 @@ def test_what_is_no_board_is_named(poses):
     assert selector.count == 0
 
 
-pytestmark = pytest.mark.slow  # films of many stills
-
-
 @pytest.fixture(scope="module")
 def stills():
     return prepare_stills(StillsOptions(photos=6, boards=0, size=(1280, 720), seed=1))
@@ -206,6 +203,7 @@ def turned(stills, pose, degrees, axis=(0.0, 1.0, 0.0)):
     return Pose(R @ pose.rotation, middle + R @ (pose.position - middle))
 
 
+@pytest.mark.slow
 def test_a_picture_from_a_new_side_is_taken_and_its_angle_is_the_true_one(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device[:2])
     check = looked(selector, pictures_device[2])
@@ -216,6 +214,7 @@ def test_a_picture_from_a_new_side_is_taken_and_its_angle_is_the_true_one(stills
     assert float(told) == pytest.approx(true, abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_same_side_is_taken_once_unless_it_is_from_nearer(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device[:2])
     front = stills.device_poses[0]
@@ -228,6 +227,7 @@ def test_the_same_side_is_taken_once_unless_it_is_from_nearer(stills, pictures_d
     assert looked(selector, photographed(stills, closer)).gain == "from nearer"
 
 
+@pytest.mark.slow
 def test_what_moves_or_is_blurred_is_refused(stills, pictures_device):
     selector = selector_of_device(stills)
     assert "hold still" in selector.check(pictures_device[0]).words
@@ -238,6 +238,7 @@ def test_what_moves_or_is_blurred_is_refused(stills, pictures_device):
     assert re.search(r"blurred \(edges of 1\.\d px, 0\.4 px at best\)", blurred.words)
 
 
+@pytest.mark.slow
 def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device[:2])
     assert "0 of 4 targets found" in looked(selector, np.full_like(pictures_device[0], 90)).words
@@ -247,6 +248,7 @@ def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills,
         selector.check(pictures_device[0][..., 0])
 
 
+@pytest.mark.slow
 def test_photos_from_missing_sides_are_wanted_until_all_sides_have_one(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device[:2])
     assert "take one from the right" in selector.wanted()
@@ -259,6 +261,7 @@ def test_photos_from_missing_sides_are_wanted_until_all_sides_have_one(stills, p
     assert selector.enough
 
 
+@pytest.mark.slow
 def test_a_complete_set_grows_if_the_session_is_called_again(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device)
     assert not selector.enough
