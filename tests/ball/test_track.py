@@ -32,6 +32,7 @@ from spheremouse.ball.rig import Ball, found_from_picture
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState, Withheld, current
 from spheremouse.ball.track import advance, step, wants_colour, with_pose, with_settings
+from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
@@ -369,6 +370,14 @@ def test_lengths_in_another_unit_change_the_counts_alone(name):
     assert_allclose(films[1][2], 2.0 * films[0][2])
     assert np.abs(films[1][0] - 2.0 * films[0][0]).max() <= 2.0
     assert np.abs(films[1][0]).max() > 200
+
+
+def test_frames_of_another_size_are_refused_in_one_line():
+    tracker = build(RIG, POSE, SO3)
+    frame = Frame(np.zeros((720, 1280, 3), np.uint8), 0.0, 7)
+    with pytest.raises(SourceError, match="frame 7 is 1280x720, the camera was calibrated at 640x480") as e:
+        step(begin(tracker, 0.0), frame, tracker)
+    assert "\n" not in str(e.value)
 
 
 @pytest.mark.parametrize("detector", ["default", "blobs"])

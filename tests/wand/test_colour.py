@@ -190,10 +190,95 @@ def test_a_white_wall_a_lit_disc_and_a_matt_ball_are_no_glare():
     assert len(colour_fields(image, DEFAULT_COLOURS, ("light",)).glare) == 0
 
 
+# ---- native functions and their twins ----
+
+
+def hue_and_spread(image):
+    """Return hue in degrees, spread and greatest channel, (h, w) each."""
+    b, g, r = np.moveaxis(image.astype(np.int32), 2, 0)
+    high, low = np.max(image, axis=2).astype(np.int32), np.min(image, axis=2)
+    spread = high - low
+    ratio = np.float32(60.0) * np.select([high == r, high == g], [g - b, b - r], r - g).astype(np.float32)
+    ratio = ratio / np.maximum(spread, 1).astype(np.float32)
+    hue = ratio + np.select([high == r, high == g], [0.0, 120.0], 240.0).astype(np.float32)
+    return np.where(hue < 0, hue + np.float32(360.0), hue), spread.astype(np.float32), high.astype(np.float32)
+
+
+def between(hue, low, top):
+    return (low <= hue) & (hue <= top) if low <= top else (hue >= low) | (hue <= top)
+
+
+def select_colours(image, bounds):
+    """Twin: the bounds of each colour on all pixels, then overexposed pixels of no colour."""
+    hue, spread, high = hue_and_spread(image)
+    some = spread * 256 >= int(256 * min(1.0, *bounds[:, 2])) * high  # least saturation of any colour
+    found = np.array(
+        [
+            some & between(hue, k[0], k[1]) & (k[2] * high <= spread) & (spread <= k[3] * high)
+            & (k[4] <= high) & (high <= k[5])
+            for k in bounds
+        ]
+    )  # fmt: skip
+    white = (np.min(image, axis=2) >= 250) & ~found.any(axis=0)
+    return found, white
+
+
+def grow_glare(image, bounds, distance, reach):
+    """Twin: dilate by one pixel within the pale print until nothing changes."""
+    hue, spread, high = hue_and_spread(image)
+    tinted = np.zeros(hue.shape, dtype=bool)
+    for low, top, least in bounds[:, :3]:
+        tinted |= (np.float32(0.25) * (least * high) < spread) & (spread < least * high) & between(hue, low, top)
+    pale = distance <= reach
+    while True:
+        more = pale | (cv2.dilate(pale.astype(np.uint8), np.ones((3, 3))) > 0) & tinted & (distance <= 8.0)
+        if np.array_equal(more, pale):
+            return pale
+        pale = more
+
+
+BOUNDS = np.array(
+    [
+        [340.0, 14.0, 0.37, 1.0, 25.0, 400.0],
+        [205.0, 262.0, 0.3, 0.9, 10.0, 200.0],
+        [0.0, 360.0, 0.0, 1.0, 215.0, 300.0],
+    ],
+    dtype=np.float32,
+)
+
+
+@pytest.mark.parametrize("size", [(0, 7), (1, 1), (48, 64)])
+@pytest.mark.parametrize("colours", [0, 1, 2, 3])
+def test_selection_equals_its_twin(size, colours):
+    rng = np.random.default_rng(5)
+    image = rng.choice(np.array([0, 1, 90, 128, 249, 250, 255], dtype=np.uint8), (*size, 3))
+    bounds = BOUNDS[:colours]
+    binary, count, white, some = kernels.select_colours(image, bounds)
+    found, overexposed = select_colours(image, bounds) if colours else (binary > 0, np.min(image, axis=2) >= 250)
+    np.testing.assert_array_equal(binary, np.where(found, 255, 0))
+    np.testing.assert_array_equal(count, found.sum(axis=(1, 2)))
+    np.testing.assert_array_equal(white, np.where(overexposed, 255, 0))
+    assert some == overexposed.sum()
+
+
+@pytest.mark.parametrize("reach", [-1.0, 0.0, 2.0, 9.0])
+def test_growth_of_glare_equals_its_twin(reach):
+    rng = np.random.default_rng(6)
+    image = np.asarray(cv2.resize(rng.integers(120, 256, (9, 12, 3), dtype=np.uint8), (48, 36)))
+    spot = np.ones((36, 48), dtype=np.uint8)
+    spot[15:19, 20:26] = 0
+    distance = np.asarray(cv2.distanceTransform(spot, cv2.DIST_L2, 5))
+    pale = np.zeros((36, 48), dtype=np.uint8)
+    kernels.grow_glare(image, BOUNDS[:2], distance[5:30, 8:44].copy(), 5, 8, reach, pale)
+    expected = grow_glare(image[5:30, 8:44], BOUNDS[:2], distance[5:30, 8:44], reach)
+    np.testing.assert_array_equal(pale[5:30, 8:44], np.where(expected, 255, 0))
+    assert pale.sum() == 255 * expected.sum()
+
+
 def test_distances_outside_of_the_image_are_refused():
     image, pale = np.zeros((4, 4, 3), dtype=np.uint8), np.zeros((4, 4), dtype=np.uint8)
     with pytest.raises(TypeError, match=r"^distance: must lie in image"):
-        kernels.grow_glare(image, np.zeros((3, 6), np.float32), np.zeros((4, 4), dtype=np.float32), 1, 0, 2.0, pale)
+        kernels.grow_glare(image, BOUNDS, np.zeros((4, 4), dtype=np.float32), 1, 0, 2.0, pale)
 
 
 @pytest.mark.parametrize("diagonal", [False, True])

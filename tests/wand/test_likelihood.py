@@ -13,10 +13,11 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import log_likelihood
+from spheremouse.wand.likelihood import disc_weights, log_likelihood
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
 from spheremouse.wand.refine import refine_pose
+from tests.wand import twins
 
 BALL = grzonka_ball()
 DISCS = np.array([[*d.direction, d.angle] for d in BALL.discs])
@@ -36,14 +37,6 @@ def view():
         shot.rotation[0],
         shot.frame.image,
     )
-
-
-def outline(c, radius):
-    """Return 24 points of the outline of a ball at c, m from the centre."""
-    phi, share = 2.0 * np.pi / 24 * np.arange(24), radius**2 / (c @ c)
-    x, z = np.array([c[2], 0.0, -c[0]]) / np.hypot(c[0], c[2]), c / np.linalg.norm(c)
-    circle = np.cos(phi)[:, None] * x + np.sin(phi)[:, None] * np.cross(z, x)
-    return radius * np.sqrt(1.0 - share) * circle - share * c
 
 
 def values(view, position, rotation, weigh=log_likelihood):
@@ -99,7 +92,7 @@ def test_outline_equals_that_of_the_projected_sphere():
     camera = InteriorOrientation(1280, 960, 900.0, 900.0, 640.0, 480.0)
     c = np.array([0.3, -0.2, 0.8])
     centre, shape = project_sphere(c, 0.05)
-    points = outline(c, 0.05)
+    points = twins.outline(c, 0.05)
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.05)
     for uv in project(c + points, camera)[0]:
         xy = (uv - [640, 480]) / 900.0 - centre
@@ -114,8 +107,8 @@ def test_measured_edges_lie_on_the_true_outline(view, factor):
     good = found[:, 4] > 0
     assert good.sum() >= 8
     camera = InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:])
-    at = project(p + outline(p, BALL.radius), camera)[0]
-    r = np.sum((found[:, :2] - at) * found[:, 2:4], axis=1)[good]
+    outline = project(p + twins.outline(p, BALL.radius), camera)[0]
+    r = np.sum((found[:, :2] - outline) * found[:, 2:4], axis=1)[good]
     edge = np.abs(r) < factor  # the others belong to the room
     assert edge.mean() > 0.5
     assert np.median(r[edge]) == pytest.approx(0.0, abs=0.15)
@@ -190,6 +183,84 @@ def test_glare_in_place_of_discs_is_no_evidence(view, part):
     assert match[0] < 0.5
 
 
+# ---- native functions and their twins ----
+
+
 def poses(p, R, n, spread):
     d = np.random.default_rng(7).normal(size=(n, 6)) * spread * [0.01, 0.01, 0.1, 0.3, 0.3, 0.3]
     return p + d[:, :3], exp(d[:, 3:]) @ R
+
+
+def test_expected_field_equals_its_twin():
+    """Single precision in the same order of operations: the same bits but for the last ones of wider registers."""
+    rng = np.random.default_rng(3)
+    low, high = [-1.0, -1.0, -1.0, 1.0, -0.2, 0.0, 0.5, -0.5], [1.0, 1.0, 1.0, 300.0, 0.3, 0.6, 9.0, 0.5]
+    points = rng.uniform(low, high, (500, 8)).astype(np.float32)
+    for got, expected in zip(kernels.expected_field(points), twins.expected_field(points), strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, 20.0])
+@pytest.mark.parametrize("glare", [False, True])
+def test_likelihood_equals_its_twin(view, spread, glare):
+    """Poses near the truth and anywhere, some behind the camera or beside the picture.
+
+    The tables of |m - e| have steps of 1/511, so a residual is off by at most 1/1022: per unit weight that is the
+    slope of the log density there, at most 1 / (2 * 511 * 0.065) of a unit for each of about a hundred points, with
+    either sign.
+    """
+    seen, m, p, R, _ = view
+    if glare:
+        veil = np.random.default_rng(1).integers(0, 256, (1, 12, 16), dtype=np.uint8)
+        veil = np.asarray(cv2.resize(veil[0], seen.weight.shape[:0:-1]))[None]
+        seen = replace(seen, glare=veil)
+    position, rotation = poses(p, R, 60, spread)
+    value, match = log_likelihood(position, rotation, m, seen)
+    expected = np.array([twins.log_likelihood(*pose, m, seen) for pose in zip(position, rotation, strict=True)])
+    np.testing.assert_allclose(value, expected[:, 0], atol=0.25)
+    np.testing.assert_allclose(match, expected[:, 1], atol=2e-3)
+
+
+def test_likelihood_with_the_weights_of_a_peak_equals_its_twin(view):
+    seen, m, p, R, _ = view
+    position, rotation = poses(p, R, 10, 0.2)
+    weights = disc_weights(position[:2], rotation[:2], m, seen.factor)
+    which = np.array([0, 1, -1] * 4)[:10]
+    value, _ = log_likelihood(position, rotation, m, seen, fixed_weights=(weights, which))
+    for i in range(10):
+        fixed = weights[which[i]] if which[i] >= 0 else None
+        expected, _ = twins.log_likelihood(position[i], rotation[i], m, seen, fixed=fixed)
+        assert value[i] == pytest.approx(expected, abs=0.25)
+
+
+def test_likelihood_of_the_outline_equals_its_twin(view):
+    _, m, p, R, image = view
+    edges = np.stack([limb.measure_edges(image, 0.97 * p, R, DISCS, m, 1), NONE])
+    position, _ = poses(p, R, 40, 1.0)
+    which = np.arange(40) % 2
+    value = limb.log_likelihood(position, which, edges, m, 2)
+    expected = [twins.outline_log_likelihood(c, edges[k], m, 2) for c, k in zip(position, which, strict=True)]
+    np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_refinement_equals_its_twin(view):
+    """One step. Residuals of single precision, 1e-6, over a step of half a pixel give derivatives to 1e-4."""
+    seen, m, p, R, image = view
+    for edges in (NONE, limb.measure_edges(image, p, R, DISCS, m, 1)):
+        for c, S in zip(*poses(p, R, 8, 0.3), strict=True):
+            peak = refine_pose(c, S, m, seen, edges, 1)
+            position, rotation = twins.refine_once(c, S, m, seen, edges)
+            moved = np.abs(peak.position - c).max() + 1e-4
+            np.testing.assert_allclose(peak.position, position, atol=2e-3 * moved)
+            assert np.linalg.norm(log(peak.rotation @ rotation.T)) < 2e-3 * (np.linalg.norm(log(rotation @ S.T)) + 1e-3)
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+def test_measured_edges_equal_their_twin(view, factor):
+    """Poses near the truth, and one at the edge of the picture."""
+    _, m, p, R, image = view
+    position, rotation = poses(p, R, 12, 0.5)
+    position[0, 0] += 0.5
+    for c, S in zip(position, rotation, strict=True):
+        got, expected = (f(image, c, S, DISCS, m, factor) for f in (limb.measure_edges, twins.measure_edges))
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)

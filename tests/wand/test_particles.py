@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from spheremouse.geometry.rotation import exp, log
+from spheremouse.native import kernels
 from spheremouse.wand.particles import (
     MotionMixture,
     Particles,
@@ -18,6 +19,7 @@ from spheremouse.wand.particles import (
     regularised_covariance,
     scatter,
 )
+from tests.wand import twins
 
 ONE = np.diag([0.02**2, 0.02**2, 0.05**2, 0.2**2, 0.1**2, 0.15**2])
 
@@ -100,3 +102,37 @@ def test_births_reach_a_peak_beyond_all_motions():
     near = np.linalg.norm(drawn.position - far, axis=1) < 0.1
     assert 0.8 < near.mean() < 0.97  # except the blind ones
     assert np.ptp(ratio[near]) < 25.0
+
+
+def test_native_functions_of_the_proposal_equal_their_twins():
+    """Three motions, two peaks; particles near and far, turned by up to half a turn."""
+    rng = np.random.default_rng(8)
+    wide = MotionMixture(
+        rng.normal(size=(3, 6)) * 0.05, np.stack([ONE, 0.25 * ONE, 4.0 * ONE]), np.array([0.5, 0.3, 0.199]), 1e-9
+    )
+    peaks = PeakMixture(
+        np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.1]]), exp(rng.normal(size=(2, 3))), np.stack([0.1 * ONE, 0.3 * ONE]),
+        np.array([3.0, -2.0]),
+    )  # fmt: skip
+    cloud = scatter(peaks.position[0], peaks.rotation[0], 2.0 * ONE, 30, rng)
+    twin = twins.Proposal(wide, peaks)
+    native = kernels.Proposal(
+        wide.shift, wide.covariance, wide.probability, wide.birth,
+        peaks.position, peaks.rotation, peaks.covariance, peaks.log_mass,
+    )  # fmt: skip
+    score, difference = native.score(cloud.position, cloud.rotation)
+    chosen, normal = np.arange(30) % 8, rng.normal(size=(30, 6))
+    position, rotation = native.draw(chosen, difference, normal)
+    share = rng.dirichlet(np.ones(8), 30)
+    ratio, nearest = native.log_ratio(cloud.position, cloud.rotation, position, rotation, difference, share, 0.1)
+    for i in range(30):
+        base = cloud.position[i], cloud.rotation[i]
+        expected, d = twin.score(*base)
+        np.testing.assert_allclose(score[i], expected, rtol=1e-9)
+        np.testing.assert_allclose(difference[i], d, rtol=1e-9, atol=1e-12)
+        p, R = twin.draw(chosen[i], d, normal[i])
+        np.testing.assert_allclose(position[i], p, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(rotation[i], R, rtol=1e-9, atol=1e-12)
+        value, peak = twin.log_ratio(base, (p, R), d, share[i], 0.1)
+        assert ratio[i] == pytest.approx(value, rel=1e-9, abs=1e-9)
+        assert nearest[i] == peak

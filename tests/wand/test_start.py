@@ -7,7 +7,8 @@ import pytest
 from experiments.kit.balls import contrast_ball
 
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.rotation import log
+from spheremouse.geometry.rotation import exp, log
+from spheremouse.native import kernels
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand.render import WandRenderer
 from spheremouse.tracker import Frame, Status
@@ -18,7 +19,9 @@ from spheremouse.wand.model import ball_model
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.start import evidence_without_prior, find_spots, pose_hypotheses
 from spheremouse.wand.track import begin, step
+from tests.wand import twins
 
+BALL = grzonka_ball()
 CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
 PICTURES = 50
 
@@ -109,3 +112,28 @@ def test_a_search_over_several_pictures_equals_a_complete_one():
             break
     assert turns > 3
     assert best == pytest.approx(float(whole.score[0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("glares", [0, 2])
+def test_assignment_of_spots_equals_its_twin(glares):
+    """Spots of a ball, with errors, and one of another thing."""
+    rng = np.random.default_rng(4)
+    discs = np.array([[*d.direction, d.angle, BALL.colours.index(d.colour)] for d in BALL.discs])
+    R, c = exp(0.4 * rng.normal(size=3)) @ np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.05, 1.0])
+    n = discs[:, :3] @ R.T
+    x = c + BALL.radius * n
+    seen = -np.sum(n * x, axis=1) / np.linalg.norm(x, axis=1) > 0.2
+    area = np.pi * (discs[:, 3] * BALL.radius) ** 2 * -n[:, 2] * rng.uniform(0.7, 1.1, len(n))
+    spots = np.column_stack([x[:, :2] / x[:, 2:] + rng.normal(size=(len(n), 2)) * 1e-3, area, discs[:, 4]])[seen]
+    spots = np.vstack([spots, [0.15, 0.0, 1e-4, 0.0]])
+    glare = np.column_stack([spots[:glares, :2], np.full(glares, 0.003)])
+    limits = np.array([0.02, 0.12, 0.0015])
+    score, position, rotation, following = kernels.assign_spots(spots, discs, glare, limits, 0.3, 0, 10**6, 10**4)
+    expected = twins.assign_spots(spots, discs, glare, limits, 0.3)
+    best = np.argsort(-score, kind="stable")
+    assert following == 0
+    assert len(expected) > 5
+    got = np.column_stack([score, position, rotation.reshape(-1, 9)])[best]
+    np.testing.assert_allclose(got[:, 0], expected[:, 0], rtol=1e-7)
+    order = [np.lexsort(np.round(rows.T, 5)) for rows in (got, expected)]  # poses of equal scores
+    np.testing.assert_allclose(got[order[0]], expected[order[1]], atol=1e-6)

@@ -112,6 +112,21 @@ def test_colour_and_grey_agree():
     assert_allclose(four_turns(red), grey, atol=0.1)
 
 
+def test_a_detector_measures_what_the_search_meets():
+    """The whole way: centres with their covariance, none twice, and none known."""
+    discs = random_discs(np.random.default_rng(7), 4, 40.0)
+    image, centres, state, met = picture(discs)[:, :, 0], centroids(discs), SearchState(), []
+    for _ in range(4):
+        found, state = PLAIN.follow(image, state, known=centres[:1])
+        met.append(found.centre)
+    assert state.turn == 4
+    met = np.concatenate(met)
+    # the ellipse's middle is not the disc's centre: by a fraction of a pixel
+    assert distances(met, centres)[1:].max() < 0.3
+    assert distances(met, centres)[0] > PLAIN.model.diameter
+    assert len(state.rejected) == 0  # discs are none
+
+
 def clutter(kind):
     """A ball with struts across it or with a shadow on it, (h, w, 1)."""
     image = ray_cast.ray_cast(NO_DISCS, blur=0.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.texture.picture import first_seen, learn, tiles_in_view, tiles_to_learn, weigh
-from spheremouse.geometry.rotation import exp
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels
 from tests.ball.texture.painted import DETECTOR, NOISE, contrast_at, picture_of, plain, waves
 
@@ -195,6 +195,12 @@ def test_the_information_of_the_anchors_is_that_of_their_pixels():
     each, one = aligned(), aligned(anchor_of=np.zeros_like(VIEW.anchor_of), anchors=1)
     for member in (5, 6, 7):
         assert np.allclose(each[member].sum(axis=0), one[member][0], rtol=1e-9, atol=1e-9 * np.abs(each[member]).max())
+
+
+def test_an_alignment_from_the_attitude_found_stays_there():
+    """It moves by what the rounds leave, 1e-4 rad."""
+    found = aligned(R=exp(np.array([2e-3, 0.0, 1e-3])) @ R)
+    assert np.linalg.norm(log(aligned(R=found[0])[0] @ found[0].T)) < 1e-4
 
 
 @pytest.mark.parametrize("known", [0.0, 10.0])

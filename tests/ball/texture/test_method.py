@@ -9,8 +9,9 @@ from spheremouse.ball.build import begin, build, detector_name
 from spheremouse.ball.events import BallLost, Found, NewMap, Recognised, Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.method import TEXTURE
-from spheremouse.ball.track import step
+from spheremouse.ball.track import step, with_pose, with_settings
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Status
@@ -72,6 +73,14 @@ def test_what_stands_still_before_the_ball_is_left_out(speckle):
     assert np.mean(odds > 3.0) > 0.3
 
 
+def test_a_ball_at_rest_sends_nothing(speckle):
+    made, tracker, steps = speckle
+    last = len(made) - 1
+    rests = follow([shown_again(made, last, last, n) for n in range(1, 21)], tracker, steps[-1].state)
+    assert all(s.estimate.confirmed for s in rests)
+    assert np.degrees(np.linalg.norm(sum(s.estimate.increment[:3] for s in rests))) < 0.1
+
+
 @pytest.mark.parametrize("back", [14, 18, 24, 28])
 def test_a_jump_is_recovered_in_the_next_frame_and_is_no_motion_of_a_hand(speckle, back):
     made, tracker, steps = speckle
@@ -83,6 +92,20 @@ def test_a_jump_is_recovered_in_the_next_frame_and_is_no_motion_of_a_hand(speckl
     assert all(np.degrees(np.linalg.norm(log(s.estimate.rotation @ change.T))) < 0.3 for s in jump)
     fastest = tracker.settings.loss.fastest
     assert all(np.linalg.norm(s.estimate.increment) <= fastest * 3.0 * DT for s in jump)
+
+
+def test_a_hidden_ball_is_lost_and_then_recognised_elsewhere(speckle):
+    made, tracker, steps = speckle
+    last, frame = len(made) - 1, made[-1].frame
+    grey = np.full_like(frame.image, 120)
+    hidden = [replace(shown_again(made, last, last, n), image=grey) for n in range(1, 16)]
+    lost = follow(hidden, tracker, steps[-1].state)
+    assert [e for e in events(lost) if e is BallLost] == [BallLost]
+    assert all(not s.estimate.increment.any() for s in lost)
+    found = follow([shown_again(made, last - 30, last, n) for n in range(16, 20)], tracker, lost[-1].state)
+    assert Recognised in events(found)
+    change = steps[-1].estimate.rotation @ made[last].attitude.T @ made[last - 30].attitude
+    assert np.degrees(np.linalg.norm(log(found[-1].estimate.rotation @ change.T))) < 0.3
 
 
 @pytest.mark.slow
@@ -99,6 +122,37 @@ def test_another_ball_is_never_taken_for_the_first_and_begins_anew(speckle):
     assert events(seen).count(NewMap) == 1
     assert Recognised not in events(seen)
     assert not any(s.estimate.confirmed for s in seen)
+
+
+@pytest.mark.parametrize("pattern", ["none", "dirt"])
+def test_a_ball_that_shows_too_little_is_never_tracked(pattern):
+    """What stands still fits each frame, and would look like a ball at rest."""
+    made, tracker = film(pattern, seconds=1.5, noise=4.0)
+    steps = follow([m.frame for m in made], tracker)
+    assert all(s.state.status is Status.SEARCHING for s in steps)
+    assert all(not s.estimate.increment.any() for s in steps)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_black_or_a_white_picture_is_no_ball(speckle, level):
+    made, tracker, _ = speckle
+    frames = [replace(m.frame, image=np.full_like(m.frame.image, level)) for m in made[:10]]
+    assert all(s.state.status is Status.SEARCHING for s in follow(frames, tracker))
+
+
+def test_settings_and_pose_may_change_without_losing_the_attitude(speckle):
+    made, tracker, _ = speckle
+    half = len(made) // 2
+    steps = follow([m.frame for m in made[:half]], tracker)
+    offset = steps[-1].estimate.rotation.T @ made[half - 1].attitude
+    other = replace(tracker.settings, loss=replace(tracker.settings.loss, lost_after=0.5))
+    state, changed = with_settings(steps[-1].state, tracker, other)
+    pose = Pose(tracker.pose.rotation, tracker.pose.position + np.array([1e-5, 0.0, 0.0]))
+    moved = with_pose(state, made[half].frame, changed, pose)
+    rest = follow([m.frame for m in made[half + 1 :]], changed, moved.state)
+    error = log(rest[-1].estimate.rotation @ offset @ made[-1].attitude.T)
+    assert np.degrees(np.linalg.norm(error)) < 0.5
+    assert rest[-1].estimate.confirmed
 
 
 def test_a_rig_without_discs_is_followed_by_its_texture_unless_the_settings_need_discs(speckle):

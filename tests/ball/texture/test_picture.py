@@ -1,6 +1,7 @@
 """The picture of a ball's texture: geometry, contrast, and the native functions beside their NumPy twins."""
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -62,9 +63,22 @@ def picture_with(view, texture, weight=5.0):
     """The picture of a texture, each cell as its direction."""
     picture = empty_picture(view)
     n = view.cells
-    picture.value[:] = texture(cell_directions(n).reshape(-1, 3)).reshape(6, n, n)
+    x = np.array([twins.direction_of(f, i, j, n) for f, i, j in np.ndindex(6, n, n)])
+    picture.value[:] = texture(x / np.linalg.norm(x, axis=1, keepdims=True)).reshape(6, n, n)
     picture.weight[:] = weight
     return picture
+
+
+@pytest.mark.parametrize("n", [32, 64, 248])
+def test_a_cell_lies_where_its_direction_is(n):
+    rng = np.random.default_rng(n)
+    x = rng.normal(size=(500, 3))
+    face, row, column = twins.place_on(x, n)
+    back = np.array([twins.direction_of(*cell, n) for cell in zip(face, row, column, strict=True)])
+    assert np.allclose(back / np.linalg.norm(back, axis=1, keepdims=True), x / np.linalg.norm(x, axis=1, keepdims=True))
+    assert row.min() >= 0.0  # a cell has neighbours on its own face, beyond the edges too
+    assert row.max() < n - 1
+    assert column.max() < n - 1
 
 
 def test_anchors_are_spread_evenly_and_each_tile_belongs_to_the_nearest(view):
@@ -190,15 +204,23 @@ def test_contrast_is_that_of_the_ball_and_not_of_the_light():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_alignment_finds_the_attitude_of_pixels_with_that_noise(view, seed):
+def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
     contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, len(view.at)).astype(np.float32)
     seen, picture = first_seen(view, contrast), picture_with(view, texture)
     start = exp(rng.normal(0.0, 0.02, 3)) @ R
     found = align(view, seen, picture, start, NOISE)
+    q, d = seen.contrast.astype(float), directions(view)
+    twin, scale, correlation, information = twins.align(
+        q, d, (picture.value.astype(float), picture.weight.astype(float)), start, NOISE, 0.1 * view.pixel, view.pixel
+    )
     assert found.converged
     assert np.linalg.norm(log(found.attitude @ R.T)) < 5e-3  # noise, and values between the cells
+    assert np.linalg.norm(log(found.attitude @ twin.T)) < 2e-4  # it stops a step earlier, and has single precision
+    assert found.scale == pytest.approx(scale, rel=0.06)  # three standard deviations of a median of 2000
+    assert found.correlation == pytest.approx(correlation, abs=5e-3)
+    assert np.allclose(found.information.sum(axis=0), information, rtol=0.12, atol=0.01 * information.max())
     assert found.pixels.sum() <= found.used
 
 
@@ -222,12 +244,14 @@ def test_an_empty_picture_and_a_plain_ball_align_with_nothing(view):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_correlation_is_one_at_the_attitude(view, seed):
+def test_correlation_is_one_at_the_attitude_and_its_twin_the_same(view, seed):
     rng = np.random.default_rng(seed)
     texture, R = waves(rng), exp(rng.normal(size=3))
     seen, picture = first_seen(view, shown(view, texture, R)), picture_with(view, texture)
     attitudes = np.stack([R, *(exp(rng.normal(size=3)) for _ in range(20))])
-    found = correlate(view, seen, picture, attitudes, len(view.at))
+    q, d = seen.contrast.astype(float), directions(view)
+    found = correlate(view, seen, picture, attitudes, len(q))
+    assert np.allclose(found, [twins.correlate(q, d, picture[:2], A) for A in attitudes], atol=2e-3)
     assert found[0] > 0.97
     assert found[1:].max() < 0.7
     part = correlate(view, seen, picture, attitudes, 200)
@@ -267,13 +291,19 @@ def test_a_picture_forgets_what_it_took_from_pixels_that_stand_still(view):
 
 
 @pytest.mark.parametrize("turns", [True, False])
-def test_odds_tell_what_turns_from_what_stays(view, turns):
+def test_odds_tell_what_turns_from_what_stays_and_its_twin_the_same(view, turns):
     rng = np.random.default_rng(4)
     texture = waves(rng)
     picture, R = picture_with(view, texture), exp(np.array([0.0, 0.3, 0.0]))
     seen = first_seen(view, shown(view, texture, np.eye(3)))
     seen = seen._replace(contrast=shown(view, texture, R) if turns else seen.contrast)
     after = weigh(view, seen, picture, R, NOISE, 0.02)
+    before = seen.mean, seen.odds, seen.offset
+    q, d = seen.contrast.astype(float), directions(view)
+    mean, odds, offset = twins.weigh(q, d, picture[:2], R, before, NOISE, 0.02)
+    assert np.allclose(after.mean, mean, atol=1e-5)
+    assert np.allclose(after.offset, offset, atol=1e-5)
+    assert np.mean(np.isclose(after.odds, odds, atol=0.02)) > 0.99  # but at the limits
     assert np.mean(after.odds * (1.0 if turns else -1.0) > 0.0) > 0.8
 
 
@@ -318,3 +348,16 @@ def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
         seen = weigh(view, seen._replace(contrast=contrast), picture, R, NOISE, 0.02)
     rest = seen.offset - light
     assert rest.std() < 0.2 * light.std()
+
+
+def test_wrong_arrays_are_named(view):
+    seen, picture = first_seen(view, np.zeros(len(view.at), np.float32)), empty_picture(view)
+    samples = (seen.contrast, view.direction, seen.least, seen.offset)
+    for at, name in enumerate(("contrast", "direction", "odds", "offset")):
+        wrong: Any = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
+        with pytest.raises(TypeError, match=name):
+            kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)
+    with pytest.raises(TypeError, match="odds"):
+        kernels.correlate_texture((*samples[:2], seen.odds[1:], *samples[3:]), picture[:2], np.eye(3)[None], 10)
+    with pytest.raises(TypeError, match="value, weight"):
+        kernels.correlate_texture(samples, (picture.value, picture.weight[:, 8:, 8:].copy()), np.eye(3)[None], 10)

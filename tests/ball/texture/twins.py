@@ -6,7 +6,17 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.geometry.rotation import exp, tangent_basis
 
 HALF, TILE = 1.1, 8
-STATIC_ODDS, FACING = -3.0, 0.3
+LEAST_WEIGHT, STATIC_ODDS, YOUNG, CAUCHY, FACING = 0.08, -3.0, 3.0, 2.385, 0.3
+
+
+def place_on(x, n):
+    """Face, row and column on the cube of (n, n) cells, (k,) each, of directions (k, 3)."""
+    axis = np.argmax(np.abs(x), axis=1)
+    k = np.arange(len(x))
+    depth = np.abs(x[k, axis])
+    at = np.stack([x[k, (axis + 1) % 3], x[k, (axis + 2) % 3]], axis=1) / depth[:, None]
+    row, column = ((at + HALF) * n / (2.0 * HALF) - 0.5).T
+    return 2 * axis + (x[k, axis] < 0.0), row, column
 
 
 def direction_of(face, row, column, n):
@@ -16,6 +26,61 @@ def direction_of(face, row, column, n):
     x[(face // 2 + 1) % 3] = (row + 0.5) * 2.0 * HALF / n - HALF
     x[(face // 2 + 2) % 3] = (column + 0.5) * 2.0 * HALF / n - HALF
     return x
+
+
+def look(value, weight, x):
+    """Value between four cells, (k,), and the least weight of the four, at directions (k, 3)."""
+    face, row, column = place_on(x, value.shape[1])
+    i, j = np.floor(row).astype(int), np.floor(column).astype(int)
+    a, b = row - i, column - j
+    corners = [(i, j, (1 - a) * (1 - b)), (i + 1, j, a * (1 - b)), (i, j + 1, (1 - a) * b), (i + 1, j + 1, a * b)]
+    shown = np.sum([w * value[face, r, c] for r, c, w in corners], axis=0)
+    return shown, np.min([weight[face, r, c] for r, c, _ in corners], axis=0)
+
+
+def change_by_turn(value, weight, d, R, step=1e-6):
+    """Change of the value by a rotation of the ball about each axis of obj, (k, 3), by central differences."""
+    shown = [[look(value, weight, d @ (exp(sign * step * axis) @ R))[0] for axis in np.eye(3)] for sign in (1.0, -1.0)]
+    return (np.array(shown[0]) - np.array(shown[1])).T / (2.0 * step)
+
+
+def align(contrast, d, picture, R, noise, place, pixel):
+    """Attitude that explains the contrast of samples, (k,) at directions (k, 3) of obj, its scale and correlation."""
+    value, weight = picture
+
+    def model(R):
+        shown, known = look(value, weight, d @ R)
+        J = change_by_turn(value, weight, d, R)
+        square = np.sum(J * J, axis=1)
+        variance = noise**2 + place**2 * (1.0 + YOUNG / np.maximum(known, 1e-9)) * square
+        return contrast - shown, shown, J, np.where(known < LEAST_WEIGHT, np.inf, variance)
+
+    _, _, J, variance = model(R)
+    chosen = np.isfinite(variance) & (pixel**2 * np.sum(J * J, axis=1) > noise**2)
+    scale, correlation, w = 0.0, 0.0, variance
+    for _ in range(30):
+        z, shown, J, variance = (part[chosen] for part in model(R))
+        size = np.sort(np.abs(z) / np.sqrt(variance))
+        scale = max(1.4826 * size[len(size) // 2], 0.5)
+        w = 1.0 / variance / scale**2 / (1.0 + z**2 / variance / (CAUCHY * scale) ** 2)
+        dx = np.linalg.solve((J * w[:, None]).T @ J + 1e-3 * np.eye(3), (J * w[:, None]).T @ z)
+        correlation = np.sum(w * contrast[chosen] * shown) / np.sqrt(
+            np.sum(w * contrast[chosen] ** 2) * np.sum(w * shown**2)
+        )
+        if np.abs(dx).max() < 1e-7:
+            break
+        R = exp(dx) @ R
+    return R, scale, correlation, (J * w[:, None]).T @ J
+
+
+def correlate(contrast, d, picture, R):
+    """Correlation of samples and the nearest cells of the picture at an attitude."""
+    value, weight = picture
+    face, row, column = place_on(d @ R, value.shape[1])
+    at = face, np.floor(row + 0.5).astype(int), np.floor(column + 0.5).astype(int)
+    known = weight[at] >= LEAST_WEIGHT
+    q, m = contrast[known], value[at][known]
+    return q @ m / np.sqrt((q @ q) * (m @ m)) if 2 * known.sum() > len(d) else 0.0
 
 
 def learn(view, seen, contrast, picture, R, most):
@@ -46,6 +111,22 @@ def learn(view, seen, contrast, picture, R, most):
         value[face, row, column] += (now - value[face, row, column]) * w / (before + w)
         weight[face, row, column] = min(before + w, most)
     return value, weight
+
+
+def weigh(contrast, d, picture, R, before, noise, settle):
+    """Mean contrast, log odds and offset of samples, (k,), after a frame at an attitude; `before` has those before."""
+    (mean, odds, offset), (value, weight) = before, picture
+    shown, known = look(value, weight, d @ R)
+    contrast = contrast - offset
+    apart, stays, turns = mean - shown, contrast - mean, contrast - shown
+    nats = np.clip(0.5 * (stays**2 - turns**2) / noise**2, -3.0, 3.0)
+    differ = (known > LEAST_WEIGHT) & (apart**2 > 9.0 * noise**2)
+    light = offset + settle * np.clip(turns, -3.0 * noise, 3.0 * noise)
+    return (
+        mean + 0.2 * (contrast - mean),
+        np.where(differ, np.clip(odds + nats, -12.0, 12.0), odds),
+        np.where(known > LEAST_WEIGHT, light, offset),
+    )
 
 
 def resample(image, uv):
