@@ -1,8 +1,10 @@
 // Alignment of a frame with the picture of the ball: the attitude that explains the contrast of most pixels.
 //
 // Gauss-Newton on SO(3) over the pixels where the picture changes within a pixel (Lucas and Kanade 1981; Baker and
-// Matthews 2004, "Lucas-Kanade 20 years on"), with Cauchy's weights (Huber 1981, section 7.8). The error of a pixel has
-// the image noise, and a part that grows with the gradient: interpolation, blur, and the picture's own errors.
+// Matthews 2004, "Lucas-Kanade 20 years on"), with the weights of Geman and McClure (1987, "Statistical methods for
+// tomographic image reconstruction"). A hand covers whole areas, and the picture fits some of its pixels by chance. So
+// the weight of a pixel also falls with those of its neighbours. The error of a pixel has the image noise, and a part
+// that grows with the gradient: interpolation, blur, and the picture's own errors.
 #include <numeric>
 
 #include "spheremouse/ball/texture/picture.h"
@@ -17,7 +19,7 @@ constexpr float YOUNG = 3.0f;   // views: the place of a cell with few follows t
 constexpr double NEAR = 2e-4;   // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
 constexpr size_t FEW = 2000;    // samples of which some show the way
 constexpr size_t MEDIAN_OF = 2000;  // residuals: their scale has a standard deviation of 2 %
-constexpr float CAUCHY = 2.385f;    // standard deviations: 95 % efficiency for normal errors
+constexpr float FAR = 3.8f;         // standard deviations: 95 % efficiency for normal errors
 constexpr int MOST_ANCHORS = 1 << 12;
 
 /// The residuals' model.
@@ -25,6 +27,14 @@ struct Errors {
     float noise;  // of a contrast
     float place;  // rad, of the picture's contours
     float angle;  // rad: a pixel counts if it shows a rotation by so much
+};
+
+/// The shares of the pixels in a tile of the picture.
+struct TileShare {
+    float sum = 0.0f, count = 0.0f;
+
+    void add(float share) { sum += share, count += 1.0f; }
+    float mean() const { return sum / count; }
 };
 
 /// The pixels that count, against the picture, in columns.
@@ -35,7 +45,7 @@ class Residuals {
     std::vector<float> z, value, contrast, variance;
     std::vector<float> square;            // z² / variance
     std::vector<float> by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
-    std::vector<float> share, weight;     // of Cauchy's: 0 to 1; by variance
+    std::vector<float> share, weight;     // of Geman and McClure's: 0 to 1; by variance
     std::vector<int> tile;                // of the picture
 
     size_t size() const { return size_; }
@@ -44,6 +54,7 @@ class Residuals {
     void add(const Look& seen, const float* contrast, const Errors& errors);
     float scale() const;
     void weigh(float scale);
+    void weigh_tiles(std::vector<TileShare>& tiles);
 };
 
 void Residuals::make_room(size_t n) {
@@ -86,12 +97,23 @@ float Residuals::scale() const {
     return std::max(1.4826f * std::sqrt(*middle), 0.5f);
 }
 
-/// Set Cauchy's weights of residuals that are `scale` times as large as their model states.
+/// Set the weights of residuals that are `scale` times as large as their model states.
 WIDE void Residuals::weigh(float scale) {
-    const float far = 1.0f / (CAUCHY * CAUCHY * scale * scale), by_variance = 1.0f / (scale * scale);
+    const float far = 1.0f / (FAR * FAR * scale * scale), by_variance = 1.0f / (scale * scale);
     for (size_t i = 0; i < size_; i++) {
-        share[i] = 1.0f / (1.0f + square[i] * far);
+        const float root = 1.0f / (1.0f + square[i] * far);
+        share[i] = root * root;
         weight[i] = share[i] * by_variance / variance[i];
+    }
+}
+
+/// Multiply each weight by the squared mean share of its tile.
+void Residuals::weigh_tiles(std::vector<TileShare>& tiles) {
+    std::fill(tiles.begin(), tiles.end(), TileShare{});
+    for (size_t i = 0; i < size_; i++) tiles[size_t(tile[i])].add(share[i]);
+    for (size_t i = 0; i < size_; i++) {
+        const float mean = tiles[size_t(tile[i])].mean();
+        share[i] *= mean * mean, weight[i] *= mean * mean;
     }
 }
 
@@ -151,6 +173,7 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
     all.take(samples, STATIC_ODDS);
     found.make_room(all.size() + 1);
     std::vector<size_t> which;
+    std::vector<TileShare> tiles(size_t(6 * picture.tiles() * picture.tiles()));
     Aligned r{R};
     Look seen;
     for (size_t every : {std::max<size_t>(samples.size / FEW, 1), size_t(1)}) {
@@ -169,6 +192,7 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
             if (r.used < 10) break;
             r.scale = found.scale();
             found.weigh(r.scale);
+            found.weigh_tiles(tiles);
             std::fill(by_anchor.begin(), by_anchor.end(), Sums());
             add(found, anchor_of, by_anchor.data());
             Sums whole;

@@ -234,7 +234,7 @@ def test_the_covariance_of_an_alignment_is_the_scatter_of_alignments(view):
         found = align(view, first_seen(view, noisy), picture, R, NOISE)
         e = log(found.attitude @ exact.T)
         squares.append(e @ found.information.sum(axis=0) @ e)
-    assert 1.5 < np.mean(squares) < 5.0  # 3 with the right covariance; Cauchy's weights state a little more
+    assert 1.5 < np.mean(squares) < 5.0  # 3 with the right covariance; robust weights state a little more
 
 
 def test_an_empty_picture_and_a_plain_ball_align_with_nothing(view):

@@ -6,7 +6,7 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.geometry.rotation import exp, tangent_basis
 
 HALF, TILE = 1.1, 8
-LEAST_WEIGHT, STATIC_ODDS, YOUNG, CAUCHY, FACING = 0.08, -3.0, 3.0, 2.385, 0.3
+LEAST_WEIGHT, STATIC_ODDS, YOUNG, FAR, FACING = 0.08, -3.0, 3.0, 3.8, 0.3
 
 
 def place_on(x, n):
@@ -44,6 +44,13 @@ def change_by_turn(value, weight, d, R, step=1e-6):
     return (np.array(shown[0]) - np.array(shown[1])).T / (2.0 * step)
 
 
+def mean_by_tile(share, x, n):
+    """Mean share, (k,), of the samples at directions (k, 3) that lie in the same tile of (n, n) cells."""
+    face, row, column = place_on(x, n)
+    tile = (face * n + row.astype(int) // TILE) * n + column.astype(int) // TILE
+    return (np.bincount(tile, share) / np.maximum(np.bincount(tile), 1))[tile]
+
+
 def align(contrast, d, picture, R, noise, place, pixel):
     """Attitude that explains the contrast of samples, (k,) at directions (k, 3) of obj, its scale and correlation."""
     value, weight = picture
@@ -62,7 +69,8 @@ def align(contrast, d, picture, R, noise, place, pixel):
         z, shown, J, variance = (part[chosen] for part in model(R))
         size = np.sort(np.abs(z) / np.sqrt(variance))
         scale = max(1.4826 * size[len(size) // 2], 0.5)
-        w = 1.0 / variance / scale**2 / (1.0 + z**2 / variance / (CAUCHY * scale) ** 2)
+        share = 1.0 / (1.0 + z**2 / variance / (FAR * scale) ** 2) ** 2
+        w = share * mean_by_tile(share, d[chosen] @ R, value.shape[1]) ** 2 / variance / scale**2
         dx = np.linalg.solve((J * w[:, None]).T @ J + 1e-3 * np.eye(3), (J * w[:, None]).T @ z)
         correlation = np.sum(w * contrast[chosen] * shown) / np.sqrt(
             np.sum(w * contrast[chosen] ** 2) * np.sum(w * shown**2)
