@@ -345,11 +345,11 @@ class World:
             state = self.states.get(sent.stamp)
             assert state in (None, "tracking") or not any(sent.counts), f"{sent.counts} while {state}"
             assert state is not None or self.carried or not any(sent.counts), "a report that belongs to no frame"
-        (_, report), *_ = self.daemon._outputs.status()
+        status = self.daemon.status()
+        report = status.outputs[0]
         given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
         assert np.array_equal(self.counts + report.unsent + left_over(self.daemon) - report.ahead, given)
         assert report.reports == sum(any(m.counts) for m in self.sent)
-        status = self.daemon.status()
         taken = self.daemon._worker.seen
         assert taken + (status.skipped or 0) == self.produced + (self.second.produced if self.second else 0)
         assert status.frames == len(self.frames)  # also across another rig, which has another worker
