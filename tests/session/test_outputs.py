@@ -68,10 +68,11 @@ class Run:
         self.outputs.exchange(names, EXACT)
         return sinks
 
-    def give(self, *counts):
+    def give(self, *counts, wanted=True):
         self.frames += 1
         self.sum += counts
-        self.outputs.submit(report(*counts, stamp=float(self.frames), confirmed=True), time.monotonic(), wanted=True)
+        given = report(*counts, stamp=float(self.frames), confirmed=True)
+        self.outputs.submit(given, time.monotonic(), wanted=wanted)
 
     def close(self):
         self.outputs.close()
@@ -198,6 +199,14 @@ def test_the_run_goes_on_until_all_outputs_have_ended(run):
     made.sinks[1].ends = True
     made.give(1, 0, 0)
     until(lambda: made.outputs.ended)
+
+
+def test_what_the_main_output_must_not_send_reaches_the_others(run):
+    made = run("a", "b")
+    made.give(1, 2, 3, wanted=False)
+    made.give(1, 0, 0)
+    until(lambda: [s.counts.tolist() for s in made.sinks] == [[1, 0, 0], [2, 2, 3]])
+    assert made.outputs.unsent == (1, 2, 3)
 
 
 def test_an_output_that_hangs_delays_no_other(run):
