@@ -193,7 +193,7 @@ def test_the_run_goes_on_until_all_outputs_have_ended(run):
     made = run("a", "b")
     made.sinks[0].ends = True
     made.give(1, 0, 0)
-    until(lambda: made.outputs.status()[0][1].ended)
+    until(lambda: made.outputs.status()[0][1].failed == "the reader of the output is gone")
     assert not made.outputs.ended
     assert made.outputs.failed == ""
     made.sinks[1].ends = True

@@ -117,6 +117,22 @@ def test_measured_edges_lie_on_the_true_outline(view, factor):
     assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
 
 
+@pytest.mark.parametrize(("inside", "outside"), [(0.8, 0.02), (0.02, 0.8)])
+def test_an_edge_is_where_a_pixel_has_half_the_light(view, inside, outside):
+    """Light mixes linearly, and grey values do not: half the light of 0.8 is far more than half its grey value."""
+    _, m, p, R, image = view
+    rows, columns = ((np.arange(10 * n) - 4.5) / 10.0 for n in image.shape[:2])
+    x, y = np.meshgrid((columns - m.lens[2]) / m.lens[0], (rows - m.lens[3]) / m.lens[1])
+    on_ball = (x * p[0] + y * p[1] + p[2]) ** 2 > (x**2 + y**2 + 1.0) * (p @ p - BALL.radius**2)
+    share = cv2.GaussianBlur(on_ball.reshape(image.shape[0], 10, image.shape[1], 10).mean(axis=(1, 3)), (0, 0), 0.7)
+    grey = np.rint(255.0 * (outside + (inside - outside) * share) ** (1.0 / 2.2)).astype(np.uint8)
+    found = limb.measure_edges(cv2.merge([grey] * 3), p, R, DISCS, m, 1)
+    at = project(p + twins.outline(p, BALL.radius), InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0]
+    r = np.sum((found[:, :2] - at) * found[:, 2:4], axis=1)[found[:, 4] > 0]
+    assert len(r) > 8
+    assert np.abs(np.median(r)) < 0.2  # px; grey values would be off by 0.4
+
+
 @pytest.mark.parametrize("turned", [0.0, 60.0, 90.0, 120.0, 180.0])
 def test_expected_field_equals_the_convolution_at_the_limb(turned):
     """Numerical convolution of a disc's rim and the ball's limb as two straight edges at an angle."""
