@@ -173,6 +173,17 @@ def test_an_output_that_stays_in_the_list_is_not_opened_again(run):
     until(lambda: np.array_equal(added.counts, (1, 2, 3)) and np.array_equal(made.sinks[0].counts, (1, 2, 3)))
 
 
+def test_an_output_that_stays_takes_the_settings_that_come_with_another(run):
+    """Without a horizon it sends the counts of a frame; now it predicts."""
+    made = run("a")
+    made.made("b")
+    made.outputs.exchange(("a", "b"), PointerSettings(horizon=0.25))
+    now = time.monotonic()
+    for taken in (now - 0.03, now):
+        made.outputs.submit(report(30, stamp=taken, counts_rate=(1000.0, 0.0, 0.0)), taken, wanted=True)
+    until(lambda: made.sinks[0].counts[0] > 60)
+
+
 def test_a_main_output_that_is_exchanged_while_others_are_still_closed_is_counted_once(run):
     made = run("a", "b")
     made.sinks[1].may_close = threading.Event()
