@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import multivariate_normal
 
 from spheremouse.ball.filters.so3_motion import KINEMATIC_DIM, MAP_OFFSET
-from spheremouse.geometry.rotation import hat
+from spheremouse.geometry.rotation import exp, hat
 from spheremouse.native import kernels
 from tests.ball.filters.twins import GATE, HORIZON, TOWARDS, drawn, linear, place, process, seen_with_rig
 
@@ -128,6 +129,39 @@ def test_without_a_visible_disc_there_is_no_pair():
     body, points = drawn(1)
     rows, columns, complete, noise_scale = nearest_pairs(body, points, process(1.0), horizon=2.0)
     assert (len(rows), len(columns), complete, noise_scale) == (0, 0, True, 2.0)
+
+
+def test_the_pairs_are_those_of_the_most_likely_level():
+    """In a frame that shows a push, more points pair at a lively level, unless a wide gate finds them by chance."""
+    levels, weights, chosen = np.array([1.0, 16.0, 256.0, 4096.0]), np.array([0.9, 0.07, 0.02, 0.01]), set()
+    for seed in range(20):
+        body, points = drawn(seed, 1e-3)
+        push = exp(8e-3 * np.random.default_rng(seed).normal(size=3))
+        points = points[0] @ push.T, *points[1:]
+        noise, expected = 0.02 * process(1e-3), weights @ levels
+        foreign = len(points[0]) / (2.0 * np.pi * (1.0 - HORIZON))
+        best, most = None, -np.inf
+        for square, probability in [(expected, 1.0), *zip(levels, weights, strict=True)]:
+            if (best is not None and best[2]) or (best is not None and square <= expected):
+                continue
+            added = (square - 1.0) * noise
+            rows, columns, complete, scale = nearest_pairs(body, points, added)
+            pairs = list(zip(rows, columns, strict=True))
+            value = np.log(probability)
+            if pairs:
+                H, _, z, S = innovation(body, points, pairs, added if scale != 1.0 else 0.0 * added)
+                value += multivariate_normal.logpdf(z, cov=S + H @ added @ H.T) + len(pairs) * np.log(4.0 / foreign)
+            if value > most:
+                best, most = (rows, columns, complete, square if scale != 1.0 else 1.0), value
+        pending = noise, 1.0 / 30.0, weights, None
+        activity = GATE, 0.2, 1.0, levels, np.zeros(4), np.full(4, 0.25)
+        got = kernels.nearest_pairs(body, points, (TOWARDS, HORIZON), pending, activity)
+        assert best is not None
+        assert_array_equal(got[0], best[0])
+        assert_array_equal(got[1], best[1])
+        assert got[2:] == pytest.approx(best[2:])
+        chosen.add(round(got[3], 6))
+    assert len(chosen) > 1
 
 
 def test_the_standard_deviation_of_a_place_is_that_of_its_worse_axis():
