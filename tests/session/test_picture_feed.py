@@ -96,8 +96,8 @@ def test_of_several_clients_the_fastest_decides(feed):
     raws = [Raw() for _ in range(120)]
     for k, raw in enumerate(raws):
         if k % 60 == 0:
-            feed.lease(k * DT, 0.5, SIZE)
             feed.lease(k * DT, 0.05, SIZE)
+            feed.lease(k * DT, 0.5, SIZE)
         feed.show(k * DT, raw, ADAPTER, k)
     assert sum(raw.copied for raw in raws) == pytest.approx(40, abs=2)
 

@@ -61,7 +61,7 @@ class Play:
 
     def __call__(self, place=0, **kwargs):
         raw = self.raw_frame(place, **kwargs)
-        made = self.worker.work(Arrival(raw, time.monotonic()))
+        made = self.worker.work(Arrival(raw, time.monotonic() - 0.5))
         self.asked = raw.asked
         return made
 
@@ -81,6 +81,7 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     assert made[-1].epoch.state.status is Status.TRACKING
     assert (play.worker.frames, play.worker.seen) == (24, 26)
     assert set(play.worker.times) == {"wait", "decode", "detect", "filter"}
+    assert 0.5 <= play.worker.times["wait"].recent_quantile(0.5) < 1.0
     rates = np.array([m.samples[0].rate for m in made])
     assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
 

@@ -41,6 +41,9 @@ def test_a_second_request_of_a_kind_is_refused_before_its_work_begins(queue, req
     first.answer({"message": "done"})
     second, _ = put(queue, request_)
     assert queue.take() is second
+    first.answer({"message": "again"})
+    _, while_the_second_is_under_way = put(queue, request_)
+    assert while_the_second_is_under_way
 
 
 def test_set_and_reload_wait_for_each_other_and_other_kinds_do_not(queue):
