@@ -277,7 +277,7 @@ class ConfigReloader:
                 plan = self._setup.planned(read_run_config(wanted))
                 check_kinds(plan, before)
                 check_read(plan, assigned)
-                if plan.notice != before.notice:
+                if plan.notice not in ("", before.notice):
                     self._log(plan.notice)
             except SpheremouseError as e:
                 error = str(e)

@@ -128,7 +128,7 @@ def test_the_next_run_knows_the_attitude_from_the_picture_alone(first_run, k):
 
 def test_another_ball_is_never_taken_for_the_saved_one_and_begins_anew(first_run):
     _, tracker, found, _ = first_run
-    options = SimulationOptions(pattern="speckle", motion="roll", turns=1.0, seconds=8.0, noise=3.0, size=(320, 240))
+    options = SimulationOptions(pattern="speckle", motion="roll", turns=0.75, seconds=6.0, noise=3.0, size=(320, 240))
     other = [m.frame for m in simulate(prepare(replace(options, seed=7, layout=8)))]
     steps = follow(other, tracker, begin(tracker, other[0].stamp, known=found))
     assert events(steps)[:2] == [NewMap, Found]
