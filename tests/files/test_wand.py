@@ -107,3 +107,5 @@ def test_two_balls_of_one_name_are_refused(tmp_path, file):
         read_balls([file, second])
     edited(second, "name: grzonka", "name: other")
     assert [ball.name for ball in read_balls([file, second]).balls] == ["grzonka", "other"]
+    (tmp_path / "link.yaml").symlink_to(file)
+    assert [ball.name for ball in read_balls([file, tmp_path / "link.yaml"]).balls] == ["grzonka", "grzonka"]

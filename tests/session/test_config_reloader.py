@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from spheremouse.files import exchange
 from spheremouse.session.config_reloader import ConfigReloader
-from spheremouse.session.control.protocol import Request
+from spheremouse.session.control.protocol import Request, Set
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 
@@ -23,6 +23,14 @@ def reloaded(reloader):
     replies = []
     reloader.reload(PendingRequest(Request(command="reload"), replies.append))
     assert [list(reply) for reply in replies] == [["changed", "values", "message"]]
+
+
+def test_what_was_set_is_told_with_its_values_and_not_again_as_a_file(tmp_path):
+    replies = []
+    reloader = reloader_of(tmp_path / "config.yaml")
+    pending = PendingRequest(Set(command="set", assignments=("map=m.yaml",)), replies.append)
+    reloader.set(("map=m.yaml",), pending)
+    assert replies[0]["message"] == "configuration applied: map null → m.yaml"
 
 
 def test_a_file_written_after_it_was_read_is_a_change_also_while_it_is_applied(tmp_path):

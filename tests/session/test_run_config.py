@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.errors import ConfigurationError, ControlError, OutputError
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text
 from spheremouse.files.yaml import dotted
@@ -19,7 +19,7 @@ from spheremouse.session.config_reloader import (
     values,
 )
 from spheremouse.session.control.protocol import MAX_LINE, encode
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config, saved_file
+from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config, saved_file
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -93,6 +93,17 @@ def test_a_mistake_in_any_file_is_said_with_its_line(folder):
         with pytest.raises(ConfigurationError, match=rf"{path.name}:{good.count(chr(10)) + 1}: nonsense"):
             read_run_config(CommandLineOverrides(config))
         path.write_text(good)
+
+
+def test_one_output_of_a_known_kind_is_enough_to_start_and_each_new_one_must_be_known(folder):
+    """A run with a display that is missing is better than none. A change is refused as a whole."""
+    plan = read_run_config(CommandLineOverrides(folder / "config.yaml"))
+    some, bad = replace(plan, outputs=("null", "nothing:")), replace(plan, outputs=("nothing:", "neither:"))
+    check_kinds(some)
+    check_kinds(some, before=some)
+    for start in ((bad,), (some, plan)):
+        with pytest.raises(OutputError, match="nothing"):
+            check_kinds(*start)
 
 
 def test_where_the_map_is_kept(folder, monkeypatch):
