@@ -30,7 +30,7 @@ def test_what_was_set_is_told_with_its_values_and_not_again_as_a_file(tmp_path):
     reloader = reloader_of(tmp_path / "config.yaml")
     pending = PendingRequest(Set(command="set", assignments=("map=m.yaml",)), replies.append)
     reloader.set(("map=m.yaml",), pending)
-    assert replies[0]["message"] == "configuration applied: map null → m.yaml"
+    assert replies[0]["message"] == "configuration applied: map null → 'm.yaml'"
 
 
 def test_a_file_written_after_it_was_read_is_a_change_also_while_it_is_applied(tmp_path):

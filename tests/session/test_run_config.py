@@ -110,6 +110,8 @@ def test_where_the_map_is_kept(folder, monkeypatch):
     config = folder / "config.yaml"
     assert read_run_config(CommandLineOverrides(config, no_map=True)).map_path is None
     assert read_run_config(CommandLineOverrides(config, ("tracker=ekf2",))).map_path is None
+    with_map = CommandLineOverrides(config, ("tracker=ekf2", "map=m.yaml"), no_map=True)
+    assert read_run_config(with_map).map_path is None
     assert read_run_config(CommandLineOverrides(config, ("map=../m.yaml",))).map_path == folder / "../m.yaml"
     recordings = read_run_config(CommandLineOverrides(config, ("record.folder=seen",))).configuration.record.folder
     assert recordings == str(folder / "seen")
