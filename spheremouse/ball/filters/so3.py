@@ -281,10 +281,9 @@ class So3Filter:
         J = points.ddirection_drig
         variance = omitted_variance(J @ state.joint[RIG, RIG] @ J.transpose(0, 2, 1))
         added = self.station.radius**2 * variance[:, None, None] * np.eye(3)
-        noise = measurement.noise + added
         if not _turns(state.rate, state.joint[3:6, 3:6]):
-            noise = noise * max(_STILL_S / max(state.interval, 1e-3), 1.0)
-        return measurement._replace(noise=noise)
+            added = added * max(_STILL_S / max(state.interval, 1e-3), 1.0)
+        return measurement._replace(noise=measurement.noise + added)
 
     @staticmethod
     def _added_noise(state: So3State, noise_scale: float) -> Array:
