@@ -84,6 +84,19 @@ def test_the_sticks_are_centred_when_reports_stop_and_at_the_end():
     assert device.closed
 
 
+def test_frames_that_are_not_confirmed_do_not_keep_the_sticks_off_the_centre():
+    device = Device()
+    with gamepad.Gamepad(device, Response()) as output:
+        output.send(rolling([0, -9, 0]))
+
+        def centred():
+            output.send(rolling([0, -9, 0], confirmed=False))
+            return sticks(device) == (0, 0, 0)
+
+        assert not centred()
+        until(centred)
+
+
 def test_the_numbers_are_the_kernels():
     ecodes = pytest.importorskip("evdev").ecodes
     names = "EV_ABS ABS_X ABS_Y ABS_RX ABS_RY BTN_SOUTH BTN_EAST BTN_NORTH BTN_WEST BTN_SELECT BTN_START"

@@ -180,21 +180,25 @@ def test_each_ball_is_a_bundle_and_the_one_that_points_has_the_counts(link):
     assert [server.bundle().num_contents for _ in samples] == [6, 6, 6]
 
 
-@pytest.mark.parametrize("status", [Status.SEARCHING, Status.LOST])
-def test_a_ball_that_is_not_tracked_has_status_and_counts_alone(status):
+@pytest.mark.parametrize(
+    ("status", "rate"),
+    [(Status.SEARCHING, 0.0), (Status.LOST, 0.0), (Status.TRACKING, np.nan), (Status.TRACKING, np.inf)],
+)
+def test_a_ball_that_is_not_tracked_or_has_no_finite_rate_has_status_and_counts_alone(status, rate):
     with receiving() as (server, output):
-        output.send(frame_osc(Sample(estimate(1, status))))
+        output.send(frame_osc(Sample(estimate(1, status)._replace(rate=np.full(6, rate)))))
         assert server.take(2) == {"/spheremouse/1/status": (str(status),), "/spheremouse/1/counts": (3, -2, 1)}
         assert server.bundle().num_contents == 2
 
 
 def test_the_time_tag_is_the_wall_clock_of_the_exposure_or_immediately():
     with receiving() as (server, output):
-        for wall in (1.7e9 + 0.125, None):
+        for wall in (1.7e9 + 0.125, None, 2.1e9):
             output.send(frame_osc(Sample(estimate(1), wall=wall)))
-        live, recorded = server.bundle(), server.bundle()
+        live, recorded, after_2036 = server.bundle(), server.bundle(), server.bundle()
         assert live.timestamp == pytest.approx(1.7e9 + 0.125, abs=1e-6)
         assert recorded.dgram[8:16] == b"\0\0\0\0\0\0\0\1"  # OSC 1.0: 63 zero bits followed by a one
+        assert int.from_bytes(after_2036.dgram[8:12]) == 2_100_000_000 - 2_085_978_496  # RFC 5905: the era begins anew
 
 
 def test_a_report_between_two_frames_sends_nothing():

@@ -96,6 +96,15 @@ def test_a_run_that_is_killed_loses_at_most_a_second_and_is_finished_by_the_next
     assert written(kind, path, frame(200)) == [*kept, 200]
 
 
+def test_a_head_that_was_cut_between_two_lines_is_written_again(tmp_path):
+    path = tmp_path / "a.csv"
+    assert written("csv", path, frame(1)) == [1]
+    whole = path.read_bytes()
+    path.write_bytes(b"".join(whole.splitlines(keepends=True)[:3]))
+    assert written("csv", path, frame(1)) == [1]
+    assert path.read_bytes() == whole
+
+
 # pandas 3 reads every digit without being asked to
 EXACT = {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
 FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
