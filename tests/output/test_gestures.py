@@ -62,6 +62,13 @@ def test_to_and_fro_is_no_direction():
     assert not gesture.straight
 
 
+def test_a_hand_that_slows_down_goes_on_with_its_gesture():
+    detector, speeds = GestureDetector(), np.repeat([1.0, 0.2, 1.0, 0.0], [30, 60, 30, 60])  # rad/s
+    found = [detector.add(k / 30.0, np.array([speed / 30.0, 0.0, 0.0])) for k, speed in enumerate(speeds)]
+    (gesture,) = filter(None, found)
+    assert_allclose(gesture.displacement, [2.4, 0.0, 0.0], atol=0.1)
+
+
 def test_a_twitch_and_a_creeping_ball_are_no_gestures():
     assert told(Turns((Turn(1.0, 0.5, (1.0, 0.0, 0.0), 0.2),), 4.0), 30.0) == []
     assert told(Turns((Turn(1.0, 30.0, (1.0, 0.0, 0.0), 1.0),), 40.0), 30.0) == []  # 2 °/s

@@ -384,6 +384,20 @@ def test_the_time_between_two_openings_grows_until_a_report_is_sent(start, monke
     assert world.opened == 3
 
 
+def test_after_a_report_that_was_sent_the_next_opening_comes_soon(start, monkeypatch):
+    monkeypatch.setattr(module, "RETRY_DELAYS", (0.0, 3600.0))
+    world = World()
+    reporter, given = start(world)
+    for opened in (1, 2, 3):
+        until(lambda n=opened: world.opened == n and reporter.status().failed is None)
+        world.broken = None
+        given(1, 0, 0)
+        until(lambda n=opened: len(world.reports) == n)
+        world.broken = OutputError("refuses")
+        given(1, 0, 0)
+    until(lambda: world.opened == 4)
+
+
 def test_a_reader_that_has_gone_is_the_end(start):
     world = World(broken=OutputClosed("standard output"))
     reporter, given = start(world)
