@@ -275,6 +275,14 @@ def test_the_header_of_a_format_is_the_first_message_and_pings_are_answered(port
         assert client.recv(PATIENCE) == "0.5 1 2 3"
 
 
+@pytest.mark.parametrize("length", [0, 125, 126, 65_535, 65_536])
+def test_a_message_of_any_length_is_the_frame_of_the_library(length, port):
+    frames = pytest.importorskip("websockets.frames")
+    text = length * b"a"
+    with open_output(f"ws:{port}") as output:
+        assert output.encode(text + b"\n") == frames.Frame(frames.Opcode.TEXT, text).serialize(mask=False)
+
+
 def test_closing_says_so(port):
     with open_output(f"ws:{port}") as output, connect(f"ws://127.0.0.1:{port}") as client:
         assert client.ping().wait(PATIENCE)

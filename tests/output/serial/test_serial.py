@@ -156,6 +156,21 @@ def test_a_board_comes_back_after_any_error_of_the_system(board, monkeypatch):
         assert not fails
 
 
+def test_a_board_that_falls_silent_is_sought_at_its_port_again(board, monkeypatch):
+    """The port of an adapter stays while its board is gone."""
+    monkeypatch.setattr(output_module, "_SILENCE_TIMEOUT", 0.2)
+    with Simulator() as second:
+        ports, said = [second.port, board.port], []
+        with Serial(lambda: ports.pop() if ports[1:] else second.port, 115200, "none", said.append) as output:
+            output.send(report(1))
+            until(lambda: output.link.settled)
+            board.stalled = True
+            until(lambda: output.send(report()) or any(s.endswith(f"{second.port} is back") for s in said))
+            output.send(report(4))
+            until(lambda: second.moved[0] == 4)
+    assert f"{board.port}: no answer; trying again until it is back" in said
+
+
 def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch):
     """Systems drain a port that is closed, for up to 30 s."""
     closing, drained, close = threading.Event(), threading.Event(), ports_module.Port.close
