@@ -31,6 +31,8 @@ from daemon_world import DT, Film, World, check_samples
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.commands.service.systemd import under_umask
 from spheremouse.errors import ControlError
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import project
 from spheremouse.session import config_reloader as loader_module
@@ -763,7 +765,7 @@ def test_a_recording_is_begun_once_and_ended_by_request_or_by_another_tracker(pl
     assert ended["frames"] > 10
     assert "nothing is being recorded" in refused(world, "record", stop=True)
     assert ask(world, "status")["recording"] is None
-    assert (Path(folder) / "scene.json").exists()
+    assert [f.image.ndim for f in read_frames(open_dataset(Path(folder)))] == [3, *(ended["frames"] - 1) * [2]]
     monkeypatch.setattr(loader_module, "read_run_config", read.append)
     ask(world, "record", folder="second")
     world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
