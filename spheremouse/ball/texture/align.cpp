@@ -46,6 +46,7 @@ class Residuals {
     std::vector<float> square;            // z² / variance
     std::vector<float> by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
     std::vector<float> share, weight;     // of Geman and McClure's: 0 to 1; by variance
+    std::vector<float> mild;              // weight by the root of the share: for the correlation
     std::vector<int> tile;                // of the picture
 
     size_t size() const { return size_; }
@@ -60,7 +61,7 @@ class Residuals {
 void Residuals::make_room(size_t n) {
     if (tile.size() >= n) return;
     tile.resize(n);
-    for (auto* column : {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &share, &weight})
+    for (auto* column : {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &share, &weight, &mild})
         column->resize(n);
 }
 
@@ -103,7 +104,8 @@ WIDE void Residuals::weigh(float scale) {
     for (size_t i = 0; i < size_; i++) {
         const float root = 1.0f / (1.0f + square[i] * far);
         share[i] = root * root;
-        weight[i] = share[i] * by_variance / variance[i];
+        mild[i] = root * by_variance / variance[i];
+        weight[i] = root * mild[i];
     }
 }
 
@@ -118,7 +120,7 @@ void Residuals::weigh_tiles(std::vector<TileShare>& tiles) {
 }
 
 /// Sums over pixels, each by its weight: those of the normal equations, their number, and the moments of contrast and
-/// picture.
+/// picture. The moments have mild weights: with others, a wrong attitude correlates with what it fits by chance.
 struct Sums {
     double sum[16] = {};
 
@@ -135,20 +137,11 @@ struct Sums {
 /// Add residuals with their weights to the sums of the anchors of their tiles.
 WIDE void add(const Residuals& r, const int64_t* anchor_of, Sums* by_anchor) {
     for (size_t i = 0; i < r.size(); i++) {
-        const float w = r.weight[i], x = w * r.by_x[i], y = w * r.by_y[i], z = w * r.by_z[i], c = w * r.contrast[i];
-        const float terms[16] = {x * r.by_x[i],
-                                 x * r.by_y[i],
-                                 x * r.by_z[i],
-                                 y * r.by_y[i],
-                                 y * r.by_z[i],
-                                 z * r.by_z[i],
-                                 x * r.z[i],
-                                 y * r.z[i],
-                                 z * r.z[i],
-                                 r.share[i],
-                                 c * r.contrast[i],
-                                 c * r.value[i],
-                                 w * r.value[i] * r.value[i]};
+        const float w = r.weight[i], x = w * r.by_x[i], y = w * r.by_y[i], z = w * r.by_z[i];
+        const float c = r.mild[i] * r.contrast[i], v = r.mild[i] * r.value[i];
+        const float terms[16] = {x * r.by_x[i],     x * r.by_y[i],  x * r.by_z[i], y * r.by_y[i], y * r.by_z[i],
+                                 z * r.by_z[i],     x * r.z[i],     y * r.z[i],    z * r.z[i],    r.share[i],
+                                 c * r.contrast[i], c * r.value[i], v * r.value[i]};
         double* sum = by_anchor[anchor_of[r.tile[i]]].sum;
         for (int k = 0; k < 16; k++) sum[k] += double(terms[k]);
     }

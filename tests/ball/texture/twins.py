@@ -69,12 +69,11 @@ def align(contrast, d, picture, R, noise, place, pixel):
         z, shown, J, variance = (part[chosen] for part in model(R))
         size = np.sort(np.abs(z) / np.sqrt(variance))
         scale = max(1.4826 * size[len(size) // 2], 0.5)
-        share = 1.0 / (1.0 + z**2 / variance / (FAR * scale) ** 2) ** 2
-        w = share * mean_by_tile(share, d[chosen] @ R, value.shape[1]) ** 2 / variance / scale**2
+        root = 1.0 / (1.0 + z**2 / variance / (FAR * scale) ** 2)
+        w = (root * mean_by_tile(root**2, d[chosen] @ R, value.shape[1])) ** 2 / variance / scale**2
         dx = np.linalg.solve((J * w[:, None]).T @ J + 1e-3 * np.eye(3), (J * w[:, None]).T @ z)
-        correlation = np.sum(w * contrast[chosen] * shown) / np.sqrt(
-            np.sum(w * contrast[chosen] ** 2) * np.sum(w * shown**2)
-        )
+        mild, c = root / variance, contrast[chosen]
+        correlation = np.sum(mild * c * shown) / np.sqrt(np.sum(mild * c**2) * np.sum(mild * shown**2))
         if np.abs(dx).max() < 1e-7:
             break
         R = exp(dx) @ R
