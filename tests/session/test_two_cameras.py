@@ -257,6 +257,20 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world):
     assert not any(text.startswith("lost") for text in world.said)
 
 
+def test_a_recording_is_of_the_first_camera_alone_also_while_it_is_gone(world):
+    """What is kept of its picture would show the person in that of the other."""
+    world.start()
+    world.reach("tracking")
+    world.client.ask("record", folder="a")
+    world.until(lambda: (world.client.ask("status")["recording"] or {}).get("frames", 0) > 3, "frames recorded")
+    world.missing = "unplugged"
+    said(world, "camera 1: unplugged; the other goes on")
+    before = world.client.ask("status")
+    enough = before["cameras"][1]["frames"] + 40
+    world.until(lambda: world.client.ask("status")["cameras"][1]["frames"] > enough, "frames of the second")
+    assert world.client.ask("record", stop=True)["frames"] < before["recording"]["frames"] + 20
+
+
 def test_settings_and_rigs_change_while_two_cameras_track(world, rigs):
     world.start()
     world.reach("tracking")
