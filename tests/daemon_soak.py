@@ -482,7 +482,7 @@ def _ledger(cabinet: Cabinet, daemon: Any) -> None:
         "looked at + skipped": (daemon._worker.seen + daemon._ring.skipped, cabinet.produced),
         "tracked": (daemon._worker.frames, cabinet.tracked),
         "damaged": (daemon._worker.damaged, cabinet.damaged),
-        "lost by the driver": (daemon._capture.dropped, cabinet.lost),
+        "lost by the driver": (daemon._captures.dropped, cabinet.lost),
     }
     for name, (there, here) in laws.items():
         if there != here:
