@@ -18,7 +18,7 @@ from reporting import refused, rolling, until
 from scipy.spatial.transform import Rotation
 from seats import LOOKS
 
-from spheremouse.output import Report, open_output, spacenav
+from spheremouse.output import Report, line_server, open_output, spacenav
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.response import Response
 from spheremouse.output.wand_mapping import PointingSettings, WandMapping
@@ -174,6 +174,24 @@ def test_a_client_that_sends_no_request_gets_events_too(path):
                 event = client.recv(32)
                 break
         assert struct.unpack("=7i", event[:28]) == (0, 0, 0, 0, 0, 175, 0)
+
+
+def test_a_client_that_does_not_read_is_disconnected_and_delays_no_other(path):
+    with open_output(f"spacenav:{path}") as output, connect(path) as slow, connect(path) as other:
+        for client in (slow, other):
+            client.sendall(struct.pack("=I", 0x7FAA5501))
+            assert client.recv(4) == struct.pack("=I", 0x7FAA5500)
+        for _ in range(2000):
+            output.send(rolling([0, 1, 0]))
+            assert len(other.recv(32)) == 32
+        left = sum(iter(lambda: len(slow.recv(65536)), 0))  # to the end of the connection
+        assert 0 < left < 2000 * 32
+
+
+def test_a_client_beyond_the_limit_is_disconnected(path, monkeypatch):
+    monkeypatch.setattr(line_server, "_MAX_CLIENTS", 1)
+    with open_output(f"spacenav:{path}"), connect(path), connect(path) as second:
+        assert second.recv(4) == b""
 
 
 def test_every_account_may_connect(path):

@@ -63,6 +63,15 @@ def reader_of(feed, now=0.0, interval=0.1, size=SIZE):
     return PictureReader(feed.lease(now, interval, size).duplicate())
 
 
+def test_a_picture_is_the_raw_frame_with_the_marks_of_the_tracker(feed):
+    reader = reader_of(feed)
+    feed.show(0.0, Raw(7), ADAPTER, 41)
+    picture = reader.latest()
+    assert (picture.format, picture.width, picture.height, picture.stamp) == ("grey", 8, 4, 3.5)
+    assert picture.pixels == 32 * b"\7"
+    assert picture.annotations == {"sequence": 41}
+
+
 @pytest.mark.parametrize(("fps", "interval"), [(60.0, 1 / 15), (30.0, 0.05), (187.0, 0.1), (29.97, 1 / 15)])
 def test_the_mean_interval_is_the_one_requested_at_any_rate_of_the_camera(feed, fps, interval):
     frames = int(2.0 * fps)

@@ -75,11 +75,35 @@ def central_differences(f, x, h=1e-6):
     return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)
 
 
+def published_a(angles, P):
+    """Eq. 139-148, as printed."""
+    so, sp, sk = np.sin(angles)
+    co, cp, ck = np.cos(angles)
+    x, y, z = P
+    common = -cp * z - sk * sp * y + ck * sp * x
+    return np.array(
+        [
+            [0.0, (sk * y - ck * x) * sp + z * cp, -cp * (x * sk + y * ck)],
+            [
+                common * co - (ck * y + sk * x) * so,
+                so * (z * sp + (ck * x - sk * y) * cp),
+                (co * x - sp * so * y) * ck - (co * y + sp * so * x) * sk,
+            ],
+            [
+                common * so + (ck * y + sk * x) * co,
+                -co * (z * sp + (ck * x - sk * y) * cp),
+                (sp * co * x - so * y) * sk + (sp * co * y + so * x) * ck,
+            ],
+        ]
+    )
+
+
 @given(angles_)
 def test_places_and_their_derivatives_are_the_published_ones(angles):
     P = RADIUS * DISCS[:5]
     place, J = turned(angles, P)
     assert_allclose(place, Rotation.from_euler("XYZ", angles).apply(P), atol=1e-14)
+    assert_allclose(J, [published_a(angles, p) for p in P], atol=1e-14)
     assert_allclose(J, central_differences(lambda a: turned(a, P)[0], angles), atol=1e-8)
 
 

@@ -302,6 +302,18 @@ def test_a_spoilt_picture_is_named(tmp_path):
     assert "000002.png" in error
 
 
+def test_an_exception_leaves_nothing_behind(tmp_path):
+    def break_off():
+        with dataset_folder(tmp_path / "out", scene_of()) as made:
+            TruthWriter(made).add(Frame(picture(0), 0.0, 0), *motion(0), discs_of(0))
+            assert len(list(tmp_path.iterdir())) == 1
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        break_off()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_frames_are_no_dataset(tmp_path):
     assert "no frame" in refusal(DatasetError, write, tmp_path / "out", frames=0)
     assert list(tmp_path.iterdir()) == []

@@ -93,6 +93,20 @@ def sent_at_a_hands_pace(seen, rig):
     np.testing.assert_allclose(seen.counts.sum(axis=0), seen.integral, atol=1.0)
 
 
+def test_status_and_log_show_that_motion_is_withheld_and_for_how_long():
+    seen, rig = watched(SimulationOptions(discs=26, seed=3, motion="play", seconds=3.0), covered=(1.59, 1.79))
+    told = [reason for reason in seen.reasons if reason.startswith("motion withheld")]
+    assert 3 <= len(told) <= 4  # of six frames, from a tenth of a second on
+    assert {told[0], told[-1]} == {f"motion withheld for 0.{t} s: no disc in view" for t in (1, 2)}
+    assert seen.reasons[-1] == seen.reasons[int(30 * 1.5)]  # what was known of the ball before
+    lines = [(t, line) for t, line in seen.news if t > 1.5]
+    assert [line for _, line in lines] == ["motion withheld: no disc in view", lines[1][1]]
+    assert lines[1][1].startswith("motion goes on: the ")
+    assert lines[0][0] == pytest.approx(1.567 + 0.1, abs=0.04)
+    assert lines[1][0] == pytest.approx(1.8, abs=0.02)
+    sent_at_a_hands_pace(seen, rig)
+
+
 def test_one_disc_in_view_of_a_ball_with_twelve_sends_no_jump():
     """A film in which a push turns all discs but one out of view: 369 counts came in one report, without a word."""
     seen, rig = watched(SimulationOptions(discs=12, seed=114, motion="play", seconds=7.0, noise=2.0))

@@ -42,7 +42,7 @@ from spheremouse.session.record.recorder import Recorder
 from spheremouse.session.settings import Configuration, RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
-from spheremouse.tracker import Estimate, Frame
+from spheremouse.tracker import Estimate, Frame, Status
 
 PATIENCE = 60.0  # s, for what takes a moment
 PLENTY = RecordSettings(free_megabytes=0.0)
@@ -262,6 +262,15 @@ def test_the_commands_replay_a_recording_without_further_options(tmp_path):
     assert done.exit_code == 0, done.output
     x, y, z = sent
     assert f"counts x {x:+d}, y {y:+d}, third {z:+d}" in done.stderr
+    done = run("evaluate", folder, "--config", folder / "config.yaml", "--json", "-")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert (result["frames"], result["tracked"]) == (len(live), len(epochs))
+    known = [e.state.filter for e in epochs if e.state.status is Status.TRACKING and e.state.filter.nis > 0.0]
+    assert result["nis"] == pytest.approx(sum(f.nis for f in known) / sum(2 * len(f.used) for f in known), rel=1e-12)
+    assert result["attitude_rmse_deg"]["combined"] is None
+    assert result["frame_us"]["median"] > 0.0
+    assert "no truth.csv" in done.stderr
 
 
 # ---- what is kept ----
