@@ -163,10 +163,11 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
               const Matrix<3>& R, std::vector<Sums>& by_anchor) {
     thread_local Pixels all, some;
     thread_local Residuals found;
+    thread_local std::vector<TileShare> tiles;
     all.take(samples, STATIC_ODDS);
     found.make_room(all.size() + 1);
     std::vector<size_t> which;
-    std::vector<TileShare> tiles(size_t(6 * picture.tiles() * picture.tiles()));
+    tiles.resize(size_t(6 * picture.tiles() * picture.tiles()));
     Aligned r{R};
     Look seen;
     for (size_t every : {std::max<size_t>(samples.size / FEW, 1), size_t(1)}) {
