@@ -7,7 +7,7 @@ distributions add outputs by entry points in the group `spheremouse.output`.
 
 import importlib
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -77,12 +77,9 @@ class Report(NamedTuple):
         return M @ R_obj_view.T @ np.linalg.inv(M)
 
     @property
-    def counted(self) -> Iterable[tuple[Sample, Counts]]:
+    def counted(self) -> Sequence[tuple[Sample, Counts]]:
         """Each sample with its counts, which are zero for a ball that does not point."""
-        counts: list[Counts] = [(0, 0, 0)] * len(self.samples)
-        if counts:
-            counts[self.pointing] = self.counts
-        return zip(self.samples, counts, strict=True)
+        return [(s, self.counts if k == self.pointing else (0, 0, 0)) for k, s in enumerate(self.samples)]
 
 
 class Mapping(Protocol):

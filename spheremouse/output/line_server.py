@@ -155,7 +155,6 @@ class LineServer(Server[Client], Output):
 
     def send(self, report: Report) -> None:
         """Send the lines of a report to every client."""
-        for line in self._form.lines(report):
-            data = self.encode(line)
-            self.broadcast(lambda _, data=data: data)
+        data = b"".join([self.encode(line) for line in self._form.lines(report)])
+        self.broadcast(lambda _: data)
         self.blocks = self.has_many_clients
