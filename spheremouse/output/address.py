@@ -1,5 +1,6 @@
 """Addresses `HOST:PORT` of outputs to a network. `PORT` alone is a port of this computer."""
 
+import errno
 import os
 import socket
 from typing import Any
@@ -8,6 +9,10 @@ from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, ok, refused
 
 LOOPBACK = "127.0.0.1"
+_HINTS = {  # by the number of the system's error
+    errno.EADDRNOTAVAIL: "write an address of this computer, or 0.0.0.0 for all",
+    errno.EACCES: "take a port above 1023",
+}
 _BUFFER_BYTES = 1 << 20  # unread data of a client; the system may allow less
 
 
@@ -47,6 +52,5 @@ def bind(name: str, host: str, port: int) -> socket.socket:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
         return listener
     except OSError as e:
-        raise OutputError(
-            f"{name}: {os.strerror(e.errno or 0)}", "stop the other program, or take another port"
-        ) from None
+        hint = _HINTS.get(e.errno or 0, "stop the other program, or take another port")
+        raise OutputError(f"{name}: {os.strerror(e.errno or 0)}", hint) from None

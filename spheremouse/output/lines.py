@@ -11,6 +11,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.files.validate import nearest
 from spheremouse.output import Report, fictrac
+from spheremouse.output.response import KEYS
 from spheremouse.output.sample import to_json
 
 OptionType = type[int] | type[float] | type[str]
@@ -63,7 +64,7 @@ def parse_target(kind: str, argument: str, known: Mapping[str, OptionType]) -> t
     """
     address, _, rest = argument.partition(",")
     place = f"{kind}:{argument}"
-    given = options(rest, _OPTIONS | dict(known), place, OutputError)
+    given = options(rest, _OPTIONS | dict(known) | KEYS, place, OutputError)
     name = str(given.get("format", "json"))
     if name not in _FORMATS:
         raise OutputError(f"{place}: unknown format {name!r}", nearest(name, list(_FORMATS)))

@@ -9,11 +9,14 @@ from collections.abc import Sequence
 from functools import cache
 from math import isfinite, sqrt
 
+from spheremouse.errors import OutputError
+from spheremouse.files.registry import options
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
 from spheremouse.output.address import parse_host
 from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.extras import import_extra
+from spheremouse.output.response import KEYS
 from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status
 
@@ -85,7 +88,9 @@ def open(argument: str) -> Osc:
 
 def check(argument: str) -> tuple[str, int]:
     """Return host and port. Raise OutputError if the argument is invalid or python-osc is missing."""
-    host, port = parse_host("osc", argument)
+    address, _, rest = argument.partition(",")
+    options(rest, dict(KEYS), f"osc:{argument}", OutputError)
+    host, port = parse_host("osc", address)
     import_extra("osc", "python-osc", "network", "pythonosc")
     return host, port
 

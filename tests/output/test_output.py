@@ -214,6 +214,7 @@ def test_a_bad_address_names_a_right_one(kind):
     for bad in ("", "localhost", "127.0.0.1:http", "127.0.0.1:0", "127.0.0.1:65536", "a:-1"):
         assert refused(f"{kind}:{bad}") == f"{kind}:{bad}: is not HOST:PORT; write for example {kind}:127.0.0.1:9000"
     assert refused(f"{kind}:nowhere.invalid:9").startswith(f"{kind}:nowhere.invalid:9: unknown host: ")
+    assert refused(f"{kind}:9,gian=2") == f"{kind}:9,gian=2: unknown key gian; did you mean gain?"
 
 
 @pytest.mark.parametrize(

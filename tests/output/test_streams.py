@@ -156,6 +156,7 @@ def test_a_port_in_use_is_refused():
         assert "Address already in use" in probe(f"tcp:{port}")[0].text
     assert probe(f"tcp:{port}")[0].text == f"port {port} of 127.0.0.1 is free"
     assert refused("tcp:9,origin=x").startswith("tcp:9,origin=x: unknown key origin")
+    assert refused("tcp:192.0.2.1:9").endswith("; write an address of this computer, or 0.0.0.0 for all")
 
 
 @pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])

@@ -261,6 +261,16 @@ def test_an_output_that_hangs_delays_no_other(run):
     made.sinks[0].gate.set()
 
 
+def test_the_log_names_an_output_once():
+    logged = []
+    outputs = Outputs(["tcp:x", "null"], EXACT, log=logged.append, workers=WorkerPool((OUTPUT,), [].append), call=print)
+    outputs.begin()
+    until(lambda: logged)
+    outputs.close()
+    advice = "write for example tcp:127.0.0.1:9000; trying again until it works"
+    assert logged == [f"output tcp:x: is not HOST:PORT; {advice}"]
+
+
 def test_only_paced_outputs_request_real_time_scheduling(tmp_path):
     claimed = []
     outputs = Outputs(

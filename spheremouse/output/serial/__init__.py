@@ -21,6 +21,7 @@ from spheremouse.files.registry import options
 from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import DeliveryStatus, Output, Report
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
+from spheremouse.output.response import KEYS
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, no_answer, version_mismatch
@@ -279,7 +280,7 @@ def check(argument: str) -> tuple[str, str | None, int, str]:
     """
     name, _, rest = argument.partition(",")
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
-    given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
+    given = options(rest, {"baud": int, "third": str, "id": str, **KEYS}, whole, OutputError)
     baud, identifier = int(given.get("baud", BAUD)), given.get("id")
     third = validate_third("serial", str(given.get("third", NONE)))
     if not name or "=" in name:
