@@ -27,7 +27,7 @@ Tiles = NDArray[np.int64]
 Samples = tuple[Floats, Floats, Floats, Floats]  # contrast, direction, log odds and offset, for `kernels`
 
 STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
-SHADING = 0.01  # standard deviation of a contrast without image noise
+SHADING = 0.005  # standard deviation of a contrast without image noise
 TILE = kernels.TILE  # cells along the edge of a tile
 LEAST_WEIGHT = kernels.LEAST_WEIGHT  # of a known cell: one oblique view
 HALF = 1.1  # half the width of a face, as `picture.h` has it
