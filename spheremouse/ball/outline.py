@@ -13,7 +13,6 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.geometry.statistics import mad_sigma
 
 _POINTS = 240  # of the outline
 _REACH = 0.05  # relative, largest error of the radius: five standard deviations of a tape
@@ -21,10 +20,11 @@ _STEP_PX = 0.25  # between samples
 _SLOPE = 8  # samples on each side of an edge
 _BESIDE = 4  # samples that mix with a pixel beside them
 _MARGIN = 13  # px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
-_CLEAR = 5.0  # standard deviations of the slopes, from which one is an edge
+_CLEAR = 8.4  # times the median slope, from which one is an edge: five standard deviations of noise above it
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_PX = 0.3  # standard deviation of an outline from blur and shading
 _SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline
+_LEAST_INFORMATION = 1e-9  # edges: along a direction that no edge shows, the shift is 0
 _SHARED = 4.0  # neighbours that share the error of an edge
 _SIDE_PX = 0.1  # standard deviation of one side of an outline against the other, from shading
 _LEAST_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a twentieth agrees by chance
@@ -132,7 +132,7 @@ def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> 
     towards = pose.position - expected
     axes = tangent_basis(towards / np.linalg.norm(towards))
     variance = float(fit.weight @ fit.off**2) / max(float(fit.weight.sum()) - 3.0, 1.0)
-    scatter = _SHARED * variance * axes.T @ np.linalg.pinv(fit.N, hermitian=True) @ axes
+    scatter = _SHARED * variance * axes.T @ np.linalg.inv(fit.N) @ axes
     common = (_SIDE_PX / found.px * rig.ball.radius) ** 2
     return SeenCentre(axes.T @ (expected + fit.shift - rig.ball.centre), axes, scatter, common)
 
@@ -151,8 +151,8 @@ def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
     weight, N = np.ones(len(n)), np.eye(3)
     for scale in _SCALES:
         weight = 1.0 / (1.0 + ((error - n @ shift) / (scale * radius)) ** 2) ** 2
-        N = n.T @ (weight[:, None] * n)
-        shift = np.asarray(np.linalg.lstsq(N, n.T @ (weight * error))[0], float)
+        N = n.T @ (weight[:, None] * n) + _LEAST_INFORMATION * np.eye(3)
+        shift = np.asarray(np.linalg.solve(N, n.T @ (weight * error)), float)
     return _Fit(shift, weight, N, error - n @ shift)
 
 
@@ -172,15 +172,16 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     error = np.arange(-reach - _SLOPE * step, reach + _SLOPE * step, step)
     line = uv[inside, None] + error[:, None] / reach * (larger - uv)[inside, None]
     x, y = (np.ascontiguousarray(line[:, :, i], dtype=np.float32) for i in (0, 1))
-    samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).reshape(*x.shape, -1)
-    black = cv2.dilate(np.all(samples == 0, axis=2).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _BESIDE + 1)))
-    sums = np.pad(np.cumsum(samples, axis=1, dtype=float), ((0, 0), (1, 0), (0, 0)))
-    means = (sums[:, _SLOPE:] - sums[:, :-_SLOPE]) / _SLOPE
-    slope = np.abs(means[:, _SLOPE:] - means[:, :-_SLOPE]).max(axis=2)  # of the colour that has the largest
+    samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    colours = np.array(cv2.split(samples))  # (c, n, m)
+    black = cv2.dilate((colours.max(axis=0) == 0).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _BESIDE + 1)))
+    sums = np.pad(np.cumsum(colours, axis=2, dtype=np.int32), ((0, 0), (0, 0), (1, 0)))
+    steps = sums[:, :, 2 * _SLOPE :] - 2 * sums[:, :, _SLOPE:-_SLOPE] + sums[:, :, : -2 * _SLOPE]
+    slope = np.abs(steps).max(axis=0) / _SLOPE  # of the colour that has the largest
     unknown = black[:, _SLOPE : _SLOPE + slope.shape[1]] > 0  # a recording has no pixels there
     usual = slope[~unknown] if not unknown.all() else np.zeros(1)
     slope[unknown] = 0.0
-    clear = slope.max(axis=1) > np.median(usual) + _CLEAR * max(float(mad_sigma(usual)), 1e-6)
+    clear = slope.max(axis=1) > _CLEAR * max(float(np.median(usual)), 1e-6)
     ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
     ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
     error = error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear]
