@@ -4,16 +4,20 @@ import contextlib
 import importlib
 import itertools
 import json
+import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pythonosc.osc_bundle import OscBundle
+from scipy.spatial.transform import Rotation
 
 from spheremouse.output import Report, open_output
 from spheremouse.output.sample import Sample
@@ -101,6 +105,62 @@ def test_the_scripts_of_game_engines_read_messages_that_we_send(name):
     read = set(re.findall(r'"(/spheremouse/[^"]+)"', text))
     assert read == {"/spheremouse/1/quaternion"}
     assert sent[read.pop()] == [1.0, 0.0, 0.0, 0.0]
+
+
+GODOT_3 = {  # names of Godot 4, and those of Debian's engine
+    "Node3D": "Spatial",
+    "receiver.bind(": "receiver.listen(",
+    "quaternion = Quaternion(": "transform.basis = Basis(Quat(",
+    "get_float(), w)": "get_float(), w))",
+}
+PRINTED = """
+func _physics_process(_delta):
+\tvar b = transform.basis
+\tprint([b.x.x, b.x.y, b.x.z, b.y.x, b.y.y, b.y.z, b.z.x, b.z.y, b.z.z])
+"""
+
+
+@pytest.mark.skipif(shutil.which("godot3-server") is None, reason="apt-get install godot3-server")
+def test_godot_turns_a_node_as_the_ball_turns(tmp_path):
+    script, port = (EXAMPLES / "ball.gd").read_text(encoding="utf-8"), free_port()
+    for new, old in GODOT_3.items():
+        assert new in script
+        script = script.replace(new, old)
+    (tmp_path / "ball.gd").write_text(script.replace("9000", str(port)) + PRINTED)
+    (tmp_path / "main.tscn").write_text(
+        '[gd_scene load_steps=2 format=2]\n[ext_resource path="res://ball.gd" type="Script" id=1]\n'
+        '[node name="Ball" type="Spatial"]\nscript = ExtResource( 1 )\n'
+    )
+    (tmp_path / "project.godot").write_text('config_version=4\n[application]\nrun/main_scene="res://main.tscn"\n')
+    R = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    sample = replace(turning((0.1, 0.0, 0.0)), estimate=turning((0.0, 0.0, 0.0)).estimate._replace(rotation=R))
+    command = ["godot3-server", "--path", tmp_path]
+    with (
+        open_output(f"osc:{port}") as output,
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env=os.environ | {"HOME": str(tmp_path)}
+        ) as engine,
+    ):
+        assert engine.stdout is not None
+        basis = np.zeros((3, 3))
+        for line in itertools.islice(engine.stdout, 1000):
+            output.send(Report((0, 0, 0), None, 0.0, (sample,)))
+            if line.startswith("["):
+                basis = np.array(json.loads(line)).reshape(3, 3).T  # its vectors are the columns of the rotation
+            if np.allclose(basis, R, rtol=0.0, atol=1e-5):
+                break
+        engine.terminate()
+    assert np.allclose(basis, R, rtol=0.0, atol=1e-5)
+
+
+def test_unity_gets_the_attitude_in_its_left_handed_axes():
+    """The quaternion's rotation matrix is R_obj_ball with the sign of Z changed in both frames."""
+    script = (EXAMPLES / "Ball.cs").read_text(encoding="utf-8")
+    made = re.findall(r"(-?)q\.GetElementAsFloat\((\d)\)", script)
+    R, mirror = Rotation.from_rotvec([0.4, -0.7, 1.1]), np.diag([1.0, 1.0, -1.0])
+    wxyz = R.as_quat(canonical=True, scalar_first=True)
+    xyzw = [(-1.0 if sign else 1.0) * wxyz[int(k)] for sign, k in made]
+    assert np.allclose(Rotation.from_quat(xyzw).as_matrix(), mirror @ R.as_matrix() @ mirror)
 
 
 def test_the_notebook_runs_from_top_to_bottom(tmp_path, monkeypatch):
