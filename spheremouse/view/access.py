@@ -8,7 +8,6 @@ import hmac
 import ipaddress
 import socket
 from collections.abc import Sequence
-from http.cookies import CookieError, SimpleCookie
 from typing import NamedTuple
 
 COOKIE = "spheremouse"
@@ -42,16 +41,17 @@ class Access:
         self._names, self._port = {name.lower() for name in known}, port
 
     def visitor(
-        self, client: str, host: str, origin: str | None, cookies: str = "", given: str | None = None
+        self, client: str, host: str, origin: str | None, cookie: str | None = None, given: str | None = None
     ) -> Visitor | None:
         """Return the visitor of a request; None if it must be refused.
 
-        `client` is the address of the other side. `host`, `origin` and `cookies` are its headers, and `given` is the
-        token in the address. A page of another origin, or a foreign name for this computer, is refused.
+        `client` is the address of the other side. `host` and `origin` are its headers, `cookie` is the value of COOKIE,
+        and `given` is the token in the address. A page of another origin, or a foreign name for this computer, is
+        refused.
         """
         if not self._is_allowed_host(host) or origin not in (None, f"http://{host}", f"https://{host}"):
             return None
-        owner = self.is_token(given) or self.is_token(_cookie(cookies))
+        owner = self.is_token(given) or self.is_token(cookie)
         return Visitor(owner) if owner or _is_loopback(client) else None
 
     def is_token(self, text: str | None) -> bool:
@@ -77,15 +77,6 @@ def owners_address(address: str, port: int, token: str) -> str:
     """Return the address of the page with the token."""
     host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
     return f"http://{host}:{port}/?token={token}"
-
-
-def _cookie(header: str) -> str | None:
-    """Return the token in a Cookie header, or None."""
-    try:
-        found = SimpleCookie(header).get(COOKIE)
-    except CookieError:
-        return None
-    return None if found is None else found.value
 
 
 def _is_loopback(client: str) -> bool:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from spheremouse.errors import ControlError
 from spheremouse.files.config import key_of
-from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.client import Client, RefusedError
 
 Message = dict[str, Any]
 Values = dict[str, Any]
@@ -167,10 +167,8 @@ class DaemonLink:
 
     # ---- events, in the loop ----
 
-    def _begun(self, described: _Description) -> None:
-        self._described = described
-        self.publish(self.hello())
-        self.publish(self.values())
+    def _begun(self) -> None:
+        self._described_for = []  # the first status has all settings read
 
     def _ended(self, trouble: ControlError) -> None:
         self.status, self.trouble = None, trouble
@@ -196,7 +194,7 @@ class DaemonLink:
     async def _refresh_description(self, described_for: list[Any]) -> None:
         with contextlib.suppress(ControlError):
             async with self._setting:  # else an older value could replace one that was just set
-                before, self._described = self._described, await asyncio.to_thread(self._read)
+                before, self._described = self._described, await asyncio.to_thread(_describe, self.socket)
             self._described_for = described_for
             _, scene, profiles = self._described
             bare = [[{**about, "value": None} for about in d.settings] for d in (before, self._described)]
@@ -214,7 +212,7 @@ class DaemonLink:
             socket = self.socket
             try:
                 with Client(socket) as client:
-                    self._post(self._begun, _describe(client))
+                    self._post(self._begun)
                     for event in client.events(STATUS_INTERVAL, samples=True):
                         if self._closed or not self._wanted.is_set() or socket is not self.socket:
                             break
@@ -235,18 +233,15 @@ class DaemonLink:
             self._rows.append(row)
             self.count += 1
 
-    def _read(self) -> _Description:
-        with Client(self.socket) as client:
-            return _describe(client)
-
     def _post(self, function: Callable[..., None], *arguments: Any) -> None:
         """Call a function in the loop's thread."""
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 
 
-def _describe(client: Client) -> _Description:
-    settings, scene, profiles = (_ask_if_known(client, command) for command in ("settings", "scene", "profile"))
+def _describe(socket: Path | None) -> _Description:
+    with Client(socket) as client:
+        settings, scene, profiles = (_ask_if_known(client, command) for command in ("settings", "scene", "profile"))
     return _Description(settings.get("settings", []), scene or None, profiles.get("profiles", {}))
 
 
@@ -254,8 +249,6 @@ def _ask_if_known(client: Client, command: str) -> Message:
     """Return the reply; nothing if the daemon starts, or if it is of another version."""
     try:
         return client.ask(command)
-    except NoDaemonError:
-        raise
     except RefusedError:
         return {}
 

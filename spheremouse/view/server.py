@@ -35,12 +35,6 @@ from spheremouse.view.pictures import Pictures
 
 STATIC = Path(__file__).with_name("static")
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-# Settings of the panel Tune, in its order: those that an operator changes while looking at the ball.
-TUNE = (
-    "motion.scale_x", "motion.scale_y", "motion.scale_z", "motion.player", "pointer.horizon", "pointer.smooth",
-    "wand.pointing.by", "wand.pointing.scale_x", "wand.pointing.scale_y", "wand.pointing.scale_z", "wand.lost_after",
-    "discs.polarity", "discs.contrast", "so3.acceleration_sigma", "loss.lost_after", "camera.exposure_s", "camera.gain",
-)  # fmt: skip
 
 _MAX_BROWSERS = 24
 _MAX_MESSAGE_BYTES = 100_000
@@ -140,10 +134,7 @@ class _Browser:
 
     def hello(self) -> str:
         """Return the first message."""
-        hello = self._page.daemon.hello()
-        known = {about["key"] for about in hello["settings"]}
-        tune = [key for key in TUNE if key in known]
-        return json.dumps({**hello, "version": __version__, "owner": self.owner, "tune": tune})
+        return json.dumps({**self._page.daemon.hello(), "version": __version__, "owner": self.owner})
 
     def push(self, kind: str, message: str | bytes) -> None:
         """Add a message; a newer status or frame replaces one that waits. If too many wait, the oldest is dropped."""
@@ -287,7 +278,7 @@ def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
         "" if client is None else client.host,
         headers.get("host", ""),
         headers.get("origin"),
-        headers.get("cookie", ""),
+        request.cookies.get(COOKIE),
         request.query_params.get("token"),
     )
 

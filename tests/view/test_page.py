@@ -49,6 +49,12 @@ def middle(locator):
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
+def begin_drawing(page):
+    """Open the panel Draw, and wait until the rectangles of the test before are gone from it."""
+    choose(page, "Draw")
+    wait_for("no rectangle", lambda: page.locator(".masks li").count() == 0)
+
+
 def masks(service):
     """Return the numbers of all places without discs."""
     return [float(n) for n in re.findall(r"-?[\d.]+", value(service, "discs.masks") or "")]
@@ -247,7 +253,7 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
 
 @pytest.mark.parametrize("by", ["mouse", "keys", "numbers"])
 def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
-    choose(page, "Draw")
+    begin_drawing(page)
     shown = lambda: masks(service)  # noqa: E731
     if by == "mouse":
         x, y = middle(page.locator("#picture"))
@@ -274,7 +280,7 @@ def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
 
 @pytest.mark.parametrize("by", ["mouse", "keys"])
 def test_a_polygon_without_discs_can_be_drawn_and_changed(page, service, by):
-    choose(page, "Draw")
+    begin_drawing(page)
     shown = lambda: masks(service)  # noqa: E731
     page.get_by_role("button", name="Draw polygon").click()
     if by == "keys":  # 4 px a step, from the middle

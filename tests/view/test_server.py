@@ -150,7 +150,7 @@ def test_a_browser_gets_settings_status_pictures_and_each_sample_once(world, pag
     with Browser(page) as browser:
         hello = browser.until("hello", lambda m: m["settings"])
         assert hello["owner"] is True
-        assert {"motion.scale_x", *hello["tune"]} <= {about["key"] for about in hello["settings"]}
+        assert {"motion.scale_x", "discs.contrast"} <= {about["key"] for about in hello["settings"]}
         assert browser.until("status", lambda m: m["status"])["status"]["state"] == "tracking"
         first = browser.frame()
         while not first["jpeg"]:
@@ -395,6 +395,20 @@ def test_a_replay_that_ends_at_its_start_is_reported_once(world, page, clip):
         assert "video.mkv: no frame" in act(browser, "play", name=clip)["text"]
         browser.until("status")
         assert [m["id"] for m in browser.seen if m["type"] == "trouble"] == [1]  # the answer
+
+
+@pytest.mark.parametrize("cookies", ["a=b; spheremouse={}", "spheremouse={}; other[1]=\xe4", '=;; x="; spheremouse={}'])
+def test_the_token_is_found_among_cookies_of_other_pages(alone, cookies):
+    with Browser(alone, owner=False, additional_headers={"Cookie": cookies.format(TOKEN)}) as browser:
+        assert browser.until("hello")["owner"] is True
+
+
+@pytest.mark.parametrize(
+    "cookies", ["", "spheremouse=wrong", "spheremouse=", f"other={TOKEN}", "spheremouse=\xe4", "; ;=;"]
+)
+def test_other_cookies_make_no_owner(alone, cookies):
+    with Browser(alone, owner=False, additional_headers={"Cookie": cookies}) as browser:
+        assert browser.until("hello")["owner"] is False
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])

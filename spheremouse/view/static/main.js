@@ -90,7 +90,7 @@ function hello(message) {
   settings.locked = !owner;
   if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", false);
   if (message.settings.length && settings.load(message.settings)) {
-    expert.load(message);
+    expert.load();
     drawing.load();
     tune.load(message);
   }

@@ -8,6 +8,13 @@ import { control, title } from "./controls.js";
 /** @typedef {import("./settings.js").Settings} Settings */
 /** @typedef {(action: string, words?: Record<string, any>) => Promise<import("./types.js").Done | null>} Act */
 
+/** Keys of the panel Tune in its order: settings that an operator changes while looking at the ball. */
+const TUNE = [
+  "motion.scale_x", "motion.scale_y", "motion.scale_z", "motion.player", "pointer.horizon", "pointer.smooth",
+  "wand.pointing.by", "wand.pointing.scale_x", "wand.pointing.scale_y", "wand.pointing.scale_z", "wand.lost_after",
+  "discs.polarity", "discs.contrast", "so3.acceleration_sigma", "loss.lost_after", "camera.exposure_s", "camera.gain",
+];
+
 export class TunePanel {
   /** @type {(() => void)[]} */ #shows = [];
   #list = el("div", { class: "settings" });
@@ -33,8 +40,8 @@ export class TunePanel {
   }
 
   /** @param {import("./types.js").Hello} hello */
-  load({ tune, profiles }) {
-    const controls = tune.flatMap((key) => {
+  load({ profiles }) {
+    const controls = TUNE.flatMap((key) => {
       const setting = this.#settings.all.get(key);
       return setting ? [control(setting, this.#settings, "tune")] : [];
     });
@@ -96,9 +103,8 @@ export class ExpertPanel {
     settings.listen(() => this.#show());
   }
 
-  /** @param {import("./types.js").Hello} hello */
-  load({ tune }) {
-    const others = [...this.#settings.all.values()].filter((s) => !tune.includes(s.key));
+  load() {
+    const others = [...this.#settings.all.values()].filter((s) => !TUNE.includes(s.key));
     this.#controls = others.map((setting) => ({ setting, ...control(setting, this.#settings, "expert") }));
     const groups = [...new Set(others.map((setting) => setting.group))];
     this.#list.replaceChildren(...groups.map((name) => el("section", {}, el("h3", {}, STAGES[name] ?? title(name)),

@@ -49,7 +49,6 @@
  * @property {string} version
  * @property {boolean} owner
  * @property {Setting[]} settings
- * @property {string[]} tune
  * @property {Record<string, string[]>} profiles
  * @property {Scene | null} scene
  * @property {string[]} log
