@@ -8,6 +8,7 @@ import { byId, colour, el, formatLatency, formatSigned, prepareCanvas, setText }
 
 const SECONDS = 10;
 const BAND = 2; // standard deviations
+const NUMBER_HEIGHT = 11; // px that a number at the axis takes
 const DEGREES = 180 / Math.PI;
 const DASHES = [[], [6, 3], [2, 2]];
 const AXES = ["X", "Y", "Z"];
@@ -69,6 +70,7 @@ class Plot {
     c.font = "11px system-ui, sans-serif";
     c.textAlign = "right";
     c.textBaseline = "middle";
+    let above = Infinity; // of the last number
     for (const tick of ticks(low, high, Math.min(4, Math.max(1, height / 26)))) {
       if (this.range.whole && !Number.isInteger(tick)) continue;
       [c.strokeStyle, c.fillStyle, c.lineWidth] = [colour("--line"), colour("--muted"), 1];
@@ -76,7 +78,9 @@ class Plot {
       c.moveTo(left, y(tick));
       c.lineTo(width, y(tick));
       c.stroke();
-      c.fillText(String(Number(tick.toPrecision(3))).replace("-", "−"), left - 6, y(tick));
+      if (above - y(tick) < NUMBER_HEIGHT) continue;
+      above = y(tick);
+      c.fillText(String(Number(tick.toPrecision(3))).replace("-", "−"), left - 6, above);
     }
     c.save();
     c.beginPath();
@@ -190,12 +194,12 @@ export class Plots {
   /** @param {import("./types.js").Status | null} status */
   read(status) {
     const { rate = null, sigma = null } = this.last ?? {};
-    /** @type {[name: string, value: string, width?: "two" | "all"][]} columns that a reading takes */
+    /** @type {[name: string, value: string, width?: "two" | "three" | "all"][]} columns that a reading takes */
     const rows = AXES.map((name, i) => [name, rate ? `${formatSigned((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
     rows.push(["σ", sigma ? `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s` : "–"]);
     if (status) {
       rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "two"]);
-      if (!status.balls) rows.push(["points", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "two"]);
+      if (!status.balls) rows.push(["points", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "three"]);
       for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
       rows.push(["motion", status.motion?.words ?? "not known", "all"]);
     }
