@@ -264,10 +264,10 @@ def rate(footage: Footage) -> Finding:
         return unchecked("rate", "the stamps do not increase", frames=n)
     produced = max(int(footage.sequence[-1] - footage.sequence[0]), n - 1)
     fps, lost = produced / span, produced - (n - 1)
-    cable = "a shorter cable, another port, or a format not MJPG"
+    cable = "try a shorter cable, another port, or a format other than MJPG"
     gaps = "the recording has gaps: play it with its stamps"
     dim = "fix the exposure (camera.exposure_s): dim light makes cameras slower"
-    busy = "a lower rate or size, or fewer programs at work"
+    busy = "choose a lower rate or size, or run fewer programs"
     return classify(
         "rate",
         f"{fps:.1f} frames/s{'' if promised is None else f' of {promised:g} promised'}, {n} seen in {span:.1f} s",
@@ -298,7 +298,7 @@ def stamps(footage: Footage) -> Finding:
         text += f", {values['age_ms']:.1f} ms old when they come"
     corrected = "the tracker corrects that; camera.stamp_shift_s sets the rest"
     own = "take v4l2: in place of opencv:, which has the camera's own stamps"
-    port = "a port of its own for the camera, and fewer programs at work"
+    port = "give the camera a port of its own, and run fewer programs"
     advice = "rates vary as much; film again" if not footage.live else port if footage.stamped else own
     return classify(
         "stamps",

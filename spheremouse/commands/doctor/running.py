@@ -63,8 +63,8 @@ def _frames(s: StatusReport) -> Finding | None:
         return None
     produced, described = s.frames + s.dropped + s.skipped + s.damaged, s.source.description
     text = f"{s.fps:.1f} frames/s; of {produced} lost {s.dropped}, skipped {s.skipped}, damaged {s.damaged}"
-    slow = "this computer is too slow for them: a smaller size or rate"
-    cable = "a port of its own for the camera, a shorter cable, a lower rate"
+    slow = "choose a smaller size or rate, since this computer is too slow for the frames"
+    cable = "give the camera a port of its own or a shorter cable, or choose a lower rate"
     return classify(
         "frames",
         f"{text} ({described})" if described else text,
@@ -85,7 +85,7 @@ def _latency(s: StatusReport) -> Finding | None:
         return None
     intervals = ms.p99 * s.fps / 1e3
     text = f"{ms.p50:.1f} ms from frame to event, 1 in 100 takes {ms.p99:.1f} ms ({intervals:.1f} intervals)"
-    advice = "real-time scheduling (the service has it), fewer programs, a faster computer"
+    advice = "use real-time scheduling, as the service does, run fewer programs, or take a faster computer"
     slow = (intervals > _MAX_INTERVALS, Verdict.WARNING, "", advice)
     return classify("latency", f"{text}; {s.scheduling}", slow, **ms.model_dump(exclude_unset=True))
 
