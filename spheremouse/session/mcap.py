@@ -155,7 +155,11 @@ class McapWriter:
             id="ball",
             frame_locked=True,
             spheres=[
-                m.SpherePrimitive(size=m.Vector3(x=2 * radius, y=2 * radius, z=2 * radius), color=_colour("ball"))
+                m.SpherePrimitive(
+                    pose=_pose(np.zeros(3), np.eye(3)),
+                    size=m.Vector3(x=2 * radius, y=2 * radius, z=2 * radius),
+                    color=_colour("ball"),
+                )
             ],
             cylinders=[_disc(direction, radius, scene["disc_radius"]) for direction in discs],
         )

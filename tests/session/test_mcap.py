@@ -117,6 +117,7 @@ def test_the_discs_of_the_scene_lie_where_the_annotations_are(exported):
     R_obj_ball = rotation_of(ball.rotation)
     (entity,) = [e for e in scene.entities if e.id == "ball"]
     assert entity.frame_id == ball.child_frame_id
+    assert rotation_of(entity.spheres[0].pose.orientation).tolist() == np.eye(3).tolist()
     discs = np.array([[p.x, p.y, p.z] for p in (c.pose.position for c in entity.cylinders)])
     height = np.sqrt(entity.spheres[0].size.x ** 2 - entity.cylinders[0].size.x ** 2) / 2  # of the rim's plane
     obj = height * discs / np.linalg.norm(discs, axis=1, keepdims=True) @ R_obj_ball.T
