@@ -27,6 +27,7 @@ import numpy as np
 
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import rig_text
+from spheremouse.geometry import Array
 from spheremouse.output import Output
 from spheremouse.session import outputs
 from spheremouse.session.control.client import Client
@@ -41,6 +42,7 @@ from tests.daemon_world import Film
 
 FPS = 60.0
 PATIENCE = 300.0  # s, until the daemon tracks
+RATIO = "ratio: median (95 % interval)"
 SETTLE = LEASE + 0.5  # s after a client, in which its lease ends
 CONFIG = 'schema: 2\nsource: "synthetic:"\noutput: "null"\nrig: rig.yaml\nrealtime: auto\ncontrol: {{socket: {}/s}}\n'
 
@@ -222,6 +224,22 @@ def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float,
     return kind, begin, ended, max(most) - before, skipped
 
 
+def percentiles(times: Array, latency: Array, periods: list[tuple[float, float]]) -> list[float]:
+    """Return the latency, ms, that 99 % of each period's reports keep."""
+    return [1e3 * float(np.percentile(latency[(times >= begin) & (times < end)], 99)) for begin, end in periods]
+
+
+def ratio(p99: list[float], own: list[int]) -> str:
+    """Return the ratio of disturbed periods to the mean of their neighbours, in words: median and its 95 % interval.
+
+    The interval is that of a bootstrap of the periods, so it includes how much other programs scatter the figure.
+    """
+    ratios = np.array([2.0 * p99[k] / (p99[k - 1] + p99[k + 1]) for k in own])
+    draws = np.median(np.random.default_rng(1).choice(ratios, (4000, len(ratios))), axis=1)
+    low, high = np.quantile(draws, (0.025, 0.975))
+    return f"{np.median(ratios):.2f} ({low:.2f}, {high:.2f})"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kinds", nargs="*", default=list(KINDS), metavar="KIND", help=", ".join(KINDS))
@@ -262,18 +280,17 @@ def main() -> None:
         Client(path).ask("stop")
         process.wait(60.0)
         times, latency = np.load(folder / "times.npy").T
-    p99 = [1e3 * np.percentile(latency[(times >= begin) & (times < end)], 99) for _, begin, end, _, _ in periods]
+    p99 = percentiles(times, latency, [(begin, end) for _, begin, end, _, _ in periods])
     rate = np.count_nonzero((times >= periods[0][1]) & (times < periods[0][2])) / (periods[0][2] - periods[0][1])
     print(f"{status.fps:.1f} frames/s, {rate:.1f} reports/s; stages in ms: {status.stages_ms}", file=sys.stderr)
-    head = ("client", "99 % of the latency", "ratio: median (lowest, highest)", "memory", "skipped")
+    head = ("client", "99 % of the latency", RATIO, "memory", "skipped")
     print(f"| {' | '.join(head)} |\n{'| --- ' * len(head)}|")
     for kind in dict.fromkeys(given.kinds):
         own = [k for k in range(1, len(periods), 2) if periods[k][0] == kind]
-        ratio = [2.0 * p99[k] / (p99[k - 1] + p99[k + 1]) for k in own]
         grown, skipped = max(periods[k][3] for k in own), sum(periods[k][4] for k in own)
         cells = (
             kind, f"{np.median([p99[k] for k in own]):.2f} ms",
-            f"{np.median(ratio):.2f} ({min(ratio):.2f}, {max(ratio):.2f})", f"{grown:+.1f} MB", str(skipped),
+            ratio(p99, own), f"{grown:+.1f} MB", str(skipped),
         )  # fmt: skip
         print(f"| {' | '.join(cells)} |", flush=True)
 

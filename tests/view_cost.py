@@ -1,16 +1,21 @@
-"""Measure what the page process takes: `python -m tests.view_cost [--seconds S] [--connections N]`.
+"""Measure the live page: `python -m tests.view_cost [--seconds S] [--connections N] [--rounds N]`.
 
 A daemon tracks a simulated ball, 640x480 at 60 Hz, from a camera that sends MJPEG. Browsers ask for pictures as fast as
-they get them. The table has, for each number of them, the pictures a second that each gets, the processor time of the
-page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
-dropped, every second one without reading. Before, a browser asks for pictures and reads none. The last lines have the
-time until the first picture: after opening, while nobody looks, and after another page process begins to start; and the
-daemon's latency during each row.
+they get them. The first table has, for each number of them, the pictures a second that each gets, the processor time of
+the page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
+dropped, every second one without reading. Before, a browser asks for pictures and reads none. Two lines have the time
+until the first picture: after opening, while nobody looks, and after another page process begins to start.
+
+The second table has what the page costs the tracker. Periods with browsers lie between periods without, N of each kind.
+It has the daemon's latency from a frame's arrival to its report, 99 % of a period, the ratio to that of the periods
+before and after, and how much the daemon's memory grows. `--rounds 0` leaves it out; 8 rounds take ten minutes.
 """
 
 import argparse
 import asyncio
 import contextlib
+import itertools
+import json
 import os
 import socket
 import subprocess
@@ -30,10 +35,11 @@ from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
 from tests.daemon_latency import processor
 from tests.daemon_process import Camera, RawFrame
-from tests.live_cost import serve, wait_for_tracking
+from tests.live_cost import RATIO, memory, percentiles, ratio, serve, wait_for_tracking
 from tests.reporting import free_port
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
+PERIOD = 8.0  # s with or without browsers
 UNREAD = 60.0  # s in which a browser does not read
 QUALITY = 85  # of the camera's MJPEG
 
@@ -173,8 +179,8 @@ async def unread(page: Page, seconds: float) -> list[str]:
     return ["-", "-", f"{during:.0f} MB ({during - before:+.1f} MB)", f"{page.memory()[1]:.0f} MB"]
 
 
-async def table(page: Page, seconds: float, connections: int, periods: dict[str, tuple[float, float]]) -> None:
-    """Print the table. Add the begin and the end of each row to `periods`."""
+async def table(page: Page, seconds: float, connections: int) -> None:
+    """Print the table of the page process."""
     print("| browsers | pictures/s | of a core | memory | at most |\n| --- | --- | --- | --- | --- |")
     rows = {"none": [], "one owner": [True], "two owners": [True, True], "one visitor, masked": [False]}
     work = {name: measure(page, owners, seconds) for name, owners in rows.items()}
@@ -182,16 +188,69 @@ async def table(page: Page, seconds: float, connections: int, periods: dict[str,
     work[f"{connections:,} connections"] = flood(page, connections)
     work["as many again"] = flood(page, connections)  # the first ones fill pools of memory
     for name, cells in work.items():
-        begun = time.monotonic()
         print(f"| {name} | {' | '.join(await cells)} |", flush=True)
-        periods[name] = begun, time.monotonic()
+
+
+async def slide(page: Page) -> None:
+    """Set a value for ever, 20 times a second, as a slider does; each request waits for the answer before."""
+    async with page.browser() as browser:
+        for k in itertools.count(1):
+            begun, values = time.monotonic(), {"motion.scale_x": 1.0 + 0.1 * (k % 10)}
+            await browser.send(json.dumps({"type": "set", "id": k, "values": values, "gesture": "slide"}))
+            while (answer := json.loads(await browser.recv())).get("id") != k:
+                pass
+            assert answer["type"] == "done", answer
+            await asyncio.sleep(max(0.0, begun + 0.05 - time.monotonic()))
+
+
+VISITS = {
+    "one owner": lambda page: [watch(page, [], owner=True)],
+    "two owners": lambda page: [watch(page, [], owner=True), watch(page, [], owner=True)],
+    "one owner, `set` 20 times a second": lambda page: [watch(page, [], owner=True), slide(page)],
+}
+
+
+async def visits(page: Page, daemon: int, seconds: float, rounds: int) -> list[tuple[str, float, float, float]]:
+    """Return kind, empty without browsers, begin, end and growth of the daemon's memory, MB, of each period."""
+    periods = []
+    for kind in ("", *(k for _ in range(rounds) for visit in VISITS for k in (visit, ""))):
+        before = most = memory(daemon)
+        tasks = [asyncio.create_task(work) for work in (VISITS[kind](page) if kind else ())]
+        await asyncio.sleep(SETTLE)
+        begun = time.monotonic()
+        while time.monotonic() < begun + seconds:
+            await asyncio.sleep(0.5)
+            most = max(most, memory(daemon))
+        periods.append((kind, begun, time.monotonic(), most - before))
+        assert not any(task.done() for task in tasks), [task.exception() for task in tasks if task.done()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    return periods
+
+
+def print_cost(periods: list[tuple[str, float, float, float]], file: Path) -> None:
+    """Print the table of what the page costs the tracker."""
+    p99 = percentiles(*np.load(file).T, [(begin, end) for _, begin, end, _ in periods])
+    print(f"\n| browsers | 99 % of the tracker's latency | {RATIO} | memory |\n| --- | --- | --- | --- |")
+    for kind in ("", *VISITS):
+        own = [k for k, period in enumerate(periods) if period[0] == kind]
+        grown = max(periods[k][3] for k in own)
+        cells = (
+            kind or "none",
+            f"{np.median([p99[k] for k in own]):.2f} ms",
+            ratio(p99, own) if kind else "1",
+            f"{grown:+.1f} MB",
+        )
+        print(f"| {' | '.join(cells)} |")
 
 
 def main() -> None:
     """Print the table, and the load."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each row")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each row of the first table")
     parser.add_argument("--connections", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=8, help="of the second table")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
@@ -202,8 +261,7 @@ def main() -> None:
         daemon = subprocess.Popen([sys.executable, "-m", "tests.view_cost", "--serve", name], stdout=subprocess.DEVNULL)
         wait_for_tracking(path)
         page = Page(Path(name), path)
-        periods: dict[str, tuple[float, float]] = {}
-        asyncio.run(table(page, given.seconds, given.connections, periods))
+        asyncio.run(table(page, given.seconds, given.connections))
         times = asyncio.run(openings(page))
         print(f"\nfirst picture {times[len(times) // 2]:.2f} s after opening, at most {times[-1]:.2f} s")
         page.process.terminate()
@@ -212,14 +270,13 @@ def main() -> None:
         page = Page(Path(name), path)
         started = time.monotonic() - begun
         print(f"{started + asyncio.run(first_picture(page)):.2f} s after the start of a process")
-        print(f"load {os.getloadavg()[0]:.1f}", file=sys.stderr)
+        periods = asyncio.run(visits(page, daemon.pid, PERIOD, given.rounds)) if given.rounds else []
+        print(f"load {os.getloadavg()[0]:.1f}; {Client(path).status().scheduling}", file=sys.stderr)
         page.process.terminate()
         Client(path).ask("stop")
         daemon.wait(60.0)
-        stamps, latency = np.load(Path(name) / "times.npy").T
-        for row, (begun, ended) in periods.items():
-            own = latency[(stamps >= begun) & (stamps < ended)]
-            print(f"99 % of the tracker's latency, {row}: {1e3 * np.percentile(own, 99):.2f} ms")
+        if periods:
+            print_cost(periods, Path(name) / "times.npy")
 
 
 if __name__ == "__main__":
