@@ -152,7 +152,7 @@ def opened(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Outp
         except OutputError as e:
             if spec == specs[-1] and not outputs:
                 raise
-            view.log(f"output {spec}: {e}")
+            view.log(_line(spec, e))
     return outputs
 
 
@@ -181,7 +181,12 @@ def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view
             if len(working) == 1:
                 raise
             del working[spec]
-            view.log(f"output {spec}: {e if isinstance(e, OutputError) else 'the reader of the output is gone'}")
+            view.log(_line(spec, e if isinstance(e, OutputError) else "the reader of the output is gone"))
+
+
+def _line(spec: str, reason: object) -> str:
+    """Return the log line of an output. It names the output once: the error of an address begins with it, too."""
+    return f"output {spec}: {str(reason).removeprefix(f'{spec}: ')}"
 
 
 def merged(cameras: Sequence[Iterable[Frame]]) -> Iterator[Frame]:
