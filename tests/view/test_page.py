@@ -486,7 +486,7 @@ def test_the_picture_is_back_two_seconds_after_another_page_process_answers(sear
 def test_the_picture_is_back_two_seconds_after_another_service_tracks(searched, service):
     service.end_daemon()
     searched.get_by_text("offline", exact=True).wait_for()
-    searched.locator("#picture-rate", has_text="no picture").wait_for()
+    searched.locator("#picture-rate", has_text="not live").wait_for()
     service.start_daemon()
     service.reach(state="tracking")
     check_first_picture(searched)

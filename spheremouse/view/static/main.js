@@ -108,7 +108,7 @@ function draw(/** @type {import("./types.js").Frame} */ frame, /** @type {ImageB
   plots.take(samples);
   space.take(samples);
   const masked = owner ? "" : ", masked to ball and targets";
-  setText(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : "no picture");
+  setText(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : status ? "no picture" : "not live");
   plots.read(status);
 }
 
@@ -133,7 +133,10 @@ function showStatus(now, reason, remedy) {
   setText(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
   setText(byId("advice", HTMLElement), now ? advice(now) : remedy);
   document.body.classList.toggle("stale", !now);
-  if (!now) setText(byId("picture-rate", HTMLElement), "not live");
+  if (!now) {
+    pictures.length = 0;
+    setText(byId("picture-rate", HTMLElement), "not live");
+  }
   const recording = now?.recording;
   const button = byId("record", HTMLButtonElement);
   setText(button, recording ? `Stop recording, ${formatDuration(recording.seconds ?? 0)}` : "Record");
