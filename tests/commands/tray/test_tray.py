@@ -15,6 +15,7 @@ from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
+from spheremouse.files.token import own_token, token_path
 from spheremouse.session.control.protocol import refused
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
@@ -232,6 +233,20 @@ def test_an_action_is_sent_and_its_result_shown(world):
             {"command": "record", "seconds": 60.0},
             {"command": "record", "stop": True},
         ]
+
+
+def test_the_live_page_is_opened_as_its_owner(world, tmp_path, monkeypatch):
+    _, link, shown = world
+    opened = []
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    link.do("page")
+    until(lambda: "start `spheremouse view` first" in shown[-1][1])
+    token = own_token(token_path())
+    link.do("page")
+    until(lambda: shown[-1][1] == "the live page is in the browser")
+    assert opened == [f"http://127.0.0.1:8765/?token={token}"]
 
 
 def test_a_pending_reply_delays_no_other_action(world):
