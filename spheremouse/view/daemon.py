@@ -54,7 +54,7 @@ class DaemonLink:
         self.socket, self.publish = socket, publish
         self.status: Message | None = None
         self.trouble = ControlError("connecting to the daemon")  # why there is no status
-        self.log: deque[str] = deque(maxlen=_LOG_LINES)
+        self.log: deque[tuple[float, str]] = deque(maxlen=_LOG_LINES)  # time since 1970, s, and text
         self.count = 0  # samples since the start
         self._rows: deque[list[Any]] = deque(maxlen=_MAX_SAMPLES)
         self._storing = threading.Lock()
@@ -182,9 +182,8 @@ class DaemonLink:
         """
         kind = event.pop("event", None)
         if kind == "log":
-            text = str(event.get("text", ""))
-            self.log.append(text)
-            self.publish({"type": "log", "lines": [text]})
+            self.log.append((time.time(), str(event.get("text", ""))))
+            self.publish({"type": "log", "lines": [self.log[-1]]})
         elif kind == "status":
             self.status = event
             self.publish(self.state())

@@ -18,17 +18,17 @@ export class LogPanel {
     this.#filter.addEventListener("input", () => this.#show());
   }
 
-  /** @param {string[]} lines the last ones before now */
+  /** @param {[number, string][]} lines the last ones before now, as of `add` */
   load(lines) {
     this.#lines.replaceChildren();
-    this.add(lines, "");
+    this.add(lines);
   }
 
-  /** @param {string[]} lines */
-  add(lines, clock = new Date().toTimeString().slice(0, 8)) {
+  /** @param {[number, string][]} lines time since 1970, s, and text */
+  add(lines) {
     const { scrollTop, scrollHeight, clientHeight } = this.#lines;
     const atEnd = scrollTop + clientHeight >= scrollHeight - 8;
-    this.#lines.append(...lines.map((line) => el("p", {}, el("time", {}, clock), line)));
+    this.#lines.append(...lines.map(([at, line]) => el("p", {}, el("time", {}, new Date(1000 * at).toTimeString().slice(0, 8)), line)));
     while (this.#lines.children.length > MAX_LINES) this.#lines.firstElementChild?.remove();
     this.#show();
     if (atEnd) this.#lines.scrollTop = this.#lines.scrollHeight;

@@ -51,7 +51,7 @@
  * @property {Setting[]} settings
  * @property {Record<string, string[]>} profiles
  * @property {Scene | null} scene
- * @property {string[]} log
+ * @property {[number, string][]} log time since 1970, s, and text
  *
  * @typedef {Record<string, any>} Status keys of `ctl status`
  *
