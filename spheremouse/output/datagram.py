@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+from collections.abc import Callable
 
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, ok, refused
@@ -10,13 +11,18 @@ from spheremouse.output.address import resolve
 
 
 class DatagramOutput(Output):
-    """Sends datagrams. Derive an output from it and override `datagrams`."""
+    """Sends datagrams."""
 
     blocks = False
 
-    def __init__(self, name: str, host: str, port: int) -> None:
-        """Open a socket. The host may be a broadcast address; `name` begins each message of an error."""
-        self._name = name
+    def __init__(
+        self, name: str, host: str, port: int, datagrams: Callable[[Report], list[bytes]], *, paced: bool = False
+    ) -> None:
+        """Open a socket to send the `datagrams` of each report.
+
+        The host may be a broadcast address; `name` begins each message of an error.
+        """
+        self._name, self._datagrams, self.paced = name, datagrams, paced
         family, address = resolve(name, host, port, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)  # noqa: FBT003  the parameter has no name
@@ -27,13 +33,9 @@ class DatagramOutput(Output):
             self._socket.close()
             raise self._error(e) from None
 
-    def datagrams(self, report: Report) -> list[bytes]:
-        """Return the datagrams of a report."""
-        raise NotImplementedError
-
     def send(self, report: Report) -> None:
         """Send the datagrams. One that the system's buffer does not hold is lost."""
-        for datagram in self.datagrams(report):
+        for datagram in self._datagrams(report):
             try:
                 self._send(datagram)
             except BlockingIOError:

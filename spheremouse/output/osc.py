@@ -26,12 +26,9 @@ _ZEROS = (0.0, 0.0, 0.0)
 _NUMBERS = {"counts": "iii", "quaternion": "ffff", "rate": "fff", "sigma": "fff", "position": "fff"}
 
 
-class Osc(DatagramOutput):
-    """Sends bundles."""
-
-    def datagrams(self, report: Report) -> list[bytes]:
-        """Return a bundle for each ball of a frame."""
-        return [encode(sample, counts) for sample, counts in report.counted]
+def bundles(report: Report) -> list[bytes]:
+    """Return a bundle for each ball of a frame."""
+    return [encode(sample, counts) for sample, counts in report.counted]
 
 
 def encode(sample: Sample, counts: Counts) -> bytes:
@@ -81,9 +78,9 @@ def _layout(ball: int, status: str, vectors: int) -> tuple[struct.Struct, list[b
     return struct.Struct(form), heads
 
 
-def open(argument: str) -> Osc:
+def open(argument: str) -> DatagramOutput:
     """Open a socket to the receiver."""
-    return Osc(f"osc:{argument}", *check(argument))
+    return DatagramOutput(f"osc:{argument}", *check(argument), bundles)
 
 
 def check(argument: str) -> tuple[str, int]:

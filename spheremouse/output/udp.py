@@ -5,27 +5,15 @@ start and stop at any time.
 """
 
 from spheremouse.finding import Finding
-from spheremouse.output import Report
 from spheremouse.output.address import parse_host
 from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.lines import LineFormat, parse_address
 
 
-class Udp(DatagramOutput):
-    """Sends lines as datagrams, each with the end of its line."""
-
-    def __init__(self, name: str, host: str, port: int, form: LineFormat) -> None:
-        super().__init__(name, host, port)
-        self._form, self.paced = form, form.paced
-
-    def datagrams(self, report: Report) -> list[bytes]:
-        """Return the lines."""
-        return self._form.lines(report)
-
-
-def open(argument: str) -> Udp:
-    """Open a socket to the receiver."""
-    return Udp(f"udp:{argument}", *check(argument))
+def open(argument: str) -> DatagramOutput:
+    """Open a socket to the receiver, which gets each line as a datagram with the end of the line."""
+    host, port, form = check(argument)
+    return DatagramOutput(f"udp:{argument}", host, port, form.lines, paced=form.paced)
 
 
 def check(argument: str) -> tuple[str, int, LineFormat]:
