@@ -59,7 +59,8 @@ export class GuidePanel {
       const [name = "", text = ""] = line.split(/\s{2,}/); // aligned in a terminal
       return el("li", {}, el("b", {}, name), el("span", {}, text));
     }));
-    setText(this.#output, lines.slice(-12).join("\n"));
+    // The problem is the last line of a command that failed.
+    setText(this.#output, lines.slice(-12, problem ? -1 : undefined).join("\n"));
     this.#picture.hidden = !picture;
     URL.revokeObjectURL(this.#picture.src);
     if (picture) this.#picture.src = URL.createObjectURL(new Blob([Uint8Array.from(atob(picture), (c) => c.charCodeAt(0))], { type: "image/jpeg" }));
