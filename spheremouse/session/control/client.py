@@ -21,6 +21,7 @@ from spheremouse.session.control.status import StatusReport
 if TYPE_CHECKING:
     from spheremouse.output.sample import Sample
 
+_RESTART = "if the daemon has another version, restart it"
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _TIMEOUTS_S = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
 _SIGN_OF_LIFE = 5.0  # s between two statuses, which show that the daemon works if no frame comes
@@ -126,7 +127,7 @@ class Client:
             self._pictures = PictureReader(memory)
         if self._pictures is None:
             self.close()
-            raise NoDaemonError(f"{self._path}: the daemon gives no memory with pictures; restart it")
+            raise NoDaemonError(f"{self._path}: the daemon gives no memory with pictures", "restart it")
         return self._pictures
 
     def samples(self) -> "Iterator[Sample]":
@@ -138,9 +139,7 @@ class Client:
                 yield from_object(read)
             except ValueError as e:
                 self.close()
-                raise NoDaemonError(
-                    f"{self._path}: {printable(str(e))}; if the daemon has another version, restart it"
-                ) from None
+                raise NoDaemonError(f"{self._path}: {printable(str(e))}", _RESTART) from None
 
     def _parse_status(self, reply: dict[str, Any]) -> StatusReport:
         """Return the report of a reply. Raises NoDaemonError, and closes the connection, if it has another form."""
@@ -148,10 +147,8 @@ class Client:
             return StatusReport.read(reply)
         except ControlError as e:
             self.close()
-            raise NoDaemonError(
-                f"{self._path}: the answer is not a status of spheremouse ({printable(str(e))}); if the "
-                "daemon has another version, restart it"
-            ) from None
+            problem = f"{self._path}: the answer is not a status of spheremouse ({printable(str(e))})"
+            raise NoDaemonError(problem, _RESTART) from None
 
     def _exchange(self, message: dict[str, Any], timeout: float) -> dict[str, Any]:
         """Send a request and return the reply. Raise NoDaemonError or RefusedError."""
@@ -193,7 +190,7 @@ class Client:
             raise NoDaemonError(f"{self._path}: no answer within {timeout:g} s; does it hang?") from None
         except OSError:
             self.close()
-            raise NoDaemonError(f"{self._path}: the daemon has ended or disconnected; {_START}") from None
+            raise NoDaemonError(f"{self._path}: the daemon has ended or disconnected", _START) from None
         except ValueError:
             self.close()
             raise NoDaemonError(f"{self._path}: the program that answers is no daemon of spheremouse") from None
@@ -216,10 +213,10 @@ class Client:
             connection.connect(str(self._path))
         except PermissionError:
             connection.close()
-            raise RefusedError(f"{self._path}: permission denied; {self._permission_hint()}") from None
+            raise RefusedError(f"{self._path}: permission denied", self._permission_hint()) from None
         except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError):
             connection.close()
-            raise NoDaemonError(f"no daemon runs ({self._where()}); {_START}") from None
+            raise NoDaemonError(f"no daemon runs ({self._where()})", _START) from None
         except OSError as e:
             connection.close()
             raise NoDaemonError(f"{self._path}: no daemon can be reached there ({e})") from None
