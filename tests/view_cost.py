@@ -79,12 +79,13 @@ class Page:
             time.sleep(0.05)
         self.cookie = f"spheremouse={read_token(file)}"
 
-    def browser(self, *, owner: bool = True) -> connect:
-        """Return a connection of a browser."""
+    def browser(self, *, owner: bool = True, foreign: bool = False) -> connect:
+        """Return a connection of a browser; a foreign one shows a page of another origin."""
         headers = {"Cookie": self.cookie} if owner else {}
         address = f"127.0.0.1:{self.port}"
+        origin = "http://foreign.example" if foreign else f"http://{address}"
         return connect(
-            f"ws://{address}/live", origin=Origin(f"http://{address}"), additional_headers=headers, max_size=None,
+            f"ws://{address}/live", origin=Origin(origin), additional_headers=headers, max_size=None,
             compression=None, ping_interval=None, close_timeout=0.5,
         )  # fmt: skip
 
@@ -203,10 +204,22 @@ async def slide(page: Page) -> None:
             await asyncio.sleep(max(0.0, begun + 0.05 - time.monotonic()))
 
 
+async def harass(page: Page) -> None:
+    """Open connections for ever and drop them: without the token, of a foreign origin, with garbage, or as an owner."""
+    for k in itertools.count():
+        with contextlib.suppress(OSError, TimeoutError, WebSocketException):
+            async with page.browser(owner=k % 4 != 0, foreign=k % 4 == 1) as browser:
+                await browser.send("garbage" if k % 4 == 2 else '{"type":"next"}')
+                await browser.recv()
+                browser.transport.abort()
+        await asyncio.sleep(0.02)
+
+
 VISITS = {
     "one owner": lambda page: [watch(page, [], owner=True)],
     "two owners": lambda page: [watch(page, [], owner=True), watch(page, [], owner=True)],
     "one owner, `set` 20 times a second": lambda page: [watch(page, [], owner=True), slide(page)],
+    "hostile ones, and one that never reads": lambda page: [harass(page), harass(page), unread(page, UNREAD)],
 }
 
 

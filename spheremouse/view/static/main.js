@@ -151,6 +151,7 @@ function showStatus(now, reason, remedy) {
 
 /** @param {Status} now */
 function advice(now) {
+  if (now.source?.replay) return "A recording plays. The pointer follows the camera, not the recording.";
   const missing = now.targets?.missing;
   if (now.state === "searching-targets" && missing?.length) return `Not seen: targets ${missing.join(", ")}. Clear the view of them, and add light.`;
   return STATES[now.state]?.advice ?? "";

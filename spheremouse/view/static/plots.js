@@ -58,7 +58,7 @@ class Plot {
     const { context: c, width, height } = prepareCanvas(this.canvas);
     const lines = this.series.map((s) => samples.map((sample) => s.read(sample)));
     const values = lines.flat().filter((v) => v !== null);
-    const [left, bottom] = [38, height - 4];
+    const [left, bottom] = [44, height - 4];
     let high = Math.max(this.range.least, ...values) * 1.08;
     let low = 0;
     if (this.range.symmetric) {

@@ -121,7 +121,7 @@ export class RecordingsPanel {
       if (values.every((v) => v === null)) return [];
       return [el("tr", {}, el("th", { scope: "row" }, label), ...values.map((v, i) => {
         const better = (distances[i] ?? 0) < (distances[1 - i] ?? 0);
-        return el("td", better ? { class: "better" } : {}, v === null ? "–" : `${formatNumber(v, 3)} ${unit}${better ? " (better)" : ""}`);
+        return el("td", better ? { class: "better" } : {}, v === null ? "–" : `${formatNumber(v, 3)}${unit === "°" ? "" : " "}${unit}${better ? " (better)" : ""}`);
       }))];
     }));
     this.#table.hidden = false;
