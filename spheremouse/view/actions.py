@@ -1,4 +1,4 @@
-"""Actions of the page's buttons. Each is one that `spheremouse ctl` has too."""
+"""Actions of the page's buttons. Each but `undo` is also a command of `spheremouse` or `spheremouse ctl`."""
 
 import asyncio
 import math
