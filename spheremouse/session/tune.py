@@ -64,10 +64,15 @@ class Objective:
     """Losses of settings on the frames from `first` to before `end` of a recording."""
 
     def __init__(self, recording: Recording, present: Configuration, first: int, end: int) -> None:
-        """Track with the `present` settings. Their run gives the scales of the terms, and the camera's pose."""
+        """Track with the `present` settings. Their run gives the scales of the terms, and the camera's pose.
+
+        If they track no frame, a run with the defaults gives the scales. Else each run that tracks would count alike.
+        """
         self._recording, self._present, self._span, self._rig = recording, present, (first, end), recording.rig
         self._usual, self._scale = 1.0, np.ones(3)
         run = self._run({})
+        if run is None or not len(run.tracked):
+            run = self._run(_defaults(present))
         if run is None:
             self._scale = np.full(2 if recording.truth is not None else 3, np.inf)
             return
@@ -84,8 +89,6 @@ class Objective:
     @cached_property
     def present(self) -> Array:
         """Losses of the present settings, (n,)."""
-        if np.isinf(self._scale).all():  # they track no frame
-            return np.full(self._span[1] - self._span[0], LIMIT)
         return self.losses({})
 
     def losses(self, values: Values, most: float = math.inf) -> Array:
@@ -122,6 +125,11 @@ def changed(settings: Configuration, values: Values) -> Configuration:
     for assignment in config.assignments(values):
         settings = config.override(settings, assignment, label="")
     return settings
+
+
+def _defaults(settings: Configuration) -> Values:
+    """Return the defaults of the searched settings that differ from them."""
+    return {d["key"]: d["default"] for d in tunable(settings) if d["value"] != d["default"]}
 
 
 def tunable(settings: Configuration) -> list[dict[str, Any]]:
@@ -177,7 +185,10 @@ def tune(
 def _search(
     objective: Objective, settings: Configuration, seconds: float, trials: int | None, seed: int
 ) -> Iterator[tuple[Values, float]]:
-    """Yield the settings and the loss of each trial (tree-structured Parzen estimator; Bergstra et al. 2011)."""
+    """Yield the settings and the loss of each trial (tree-structured Parzen estimator; Bergstra et al. 2011).
+
+    The first trial has the defaults, unless the present settings are the defaults.
+    """
     try:
         import optuna
     except ImportError:
@@ -186,7 +197,11 @@ def _search(
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=_RANDOM_TRIALS))
     duration, end = objective.seconds, time.monotonic() + seconds
     described, least = tunable(settings), float(objective.present.mean())
-    count = 0
+    count, defaults = 0, _defaults(settings)
+    if defaults:
+        loss = float(objective.losses(defaults).mean())
+        least, count = min(least, loss), 1
+        yield defaults, loss
     while time.monotonic() < end and (trials is None or count < trials):
         trial = study.ask()
         values = {d["key"]: _suggested(trial, d, duration) for d in described}

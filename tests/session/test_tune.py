@@ -12,7 +12,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.session.settings import Configuration
-from spheremouse.session.tune import changed, tunable, tune
+from spheremouse.session.tune import Objective, changed, tunable, tune
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.options import SimulationOptions
 from spheremouse.simulate.to_dataset import write_simulation
@@ -45,6 +45,22 @@ def test_a_wrong_setting_comes_back_to_one_that_tracks(recording):
     assert found.values["discs.contrast"] < 0.8
     assert found.gains["discs.contrast"] > 0.1
     assert found.held_out.other < 0.5 * found.held_out.present
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [{"discs.polarity": "light"}, {"so3.acceleration_sigma": 50.0}])
+def test_the_defaults_are_tried_first(recording, wrong):
+    found = tune(recording, changed(Configuration(), wrong), 300.0, trials=1)
+    assert found.values == {d["key"]: d["default"] for d in tunable(Configuration()) if d["key"] in wrong}
+    assert found.held_out.gain > 0.2
+
+
+@pytest.mark.slow
+def test_a_setting_that_loses_the_ball_is_no_gain_over_none_that_tracks(recording):
+    """With bright discs and little contrast the tracker follows glare: 100 degrees of error, and few discs."""
+    objective = Objective(recording, changed(Configuration(), {"discs.polarity": "light"}), 0, 60)
+    glare = objective.losses({"discs.contrast": 0.018}).mean()
+    assert objective.losses({"discs.polarity": "auto"}).mean() < 0.1 * glare
 
 
 @pytest.mark.slow
