@@ -210,6 +210,7 @@ class TrackState(NamedTuple, Generic[F]):
     older_searches: int = 0  # of an older map that an earlier session saved, and one more; 0: it is of this session
     confirmed: bool = False  # the last frame's discs confirm the attitude
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
+    paired_at: float = -np.inf  # s, stamp of the last frame that showed two discs of the map
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: StaticDistractors = StaticDistractors()
     search: Any = SearchState()  # of the detector: for discs that are not on the map yet, or what it knows of a texture

@@ -147,6 +147,18 @@ class So3Filter:
         """Return the state with a covariance that has the errors of a radius and focal length measured by tape."""
         return replace(with_rig_uncertainty(state, self.station.covariance_by_tape()), holds_rig=False)
 
+    def with_unseen_turn(self, state: So3State, axis: Array, duration: float) -> So3State:
+        """Return the state as uncertain as a turn about `axis`, (3,) obj, makes it that no disc has shown of late.
+
+        The acceleration is that of a player of whom nothing is known (Singer 1970), and the rate at most that of a
+        start. `duration` is in s.
+        """
+        density = 2.0 * PERSISTENCE_S * usual_acceleration(self.settings) ** 2
+        variance, joint = min(density * duration, self.settings.start_rate_sigma**2), state.joint.copy()
+        growth = np.array([[duration**2 / 3.0, 0.5 * duration], [0.5 * duration, 1.0]])  # of turn and rate
+        joint[:6, :6] += variance * np.kron(growth, np.outer(axis, axis))
+        return replace(state, joint=joint)
+
     def is_beyond_a_tape(self, state: So3State) -> bool:
         """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
         return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape()[1:, 1:]))

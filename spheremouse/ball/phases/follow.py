@@ -17,6 +17,7 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import CandidatePoints, So3Filter, relocate
 from spheremouse.ball.filters.so3_map import keep_candidates
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
+from spheremouse.ball.filters.so3_settings import DWELL_S
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import F, Tracker, TrackState, clear_matches, no_points
 from spheremouse.geometry.matching import are_among
@@ -30,6 +31,7 @@ _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, a cover on the ball hides
 _TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude counts as the only one
 _CLEAR_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
+_UNSEEN_TURN = 0.1  # probability that a ball turns about the one disc in view: the disc that stays is near the axis
 _KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 RISK = 1e-3  # probability of error up to which the map gives the attitude
@@ -96,13 +98,20 @@ def updated_hypotheses(
         if proven.any():
             proven &= _is_clear(state)
     proven &= extend_map
-    certain = None if state.alternatives else f.update_if_certain(predicted, points, proven)
+    turned_unseen = _turned_unseen(state, stamp, tracker, predicted)
+    certain = (
+        None if state.alternatives or turned_unseen is not None else f.update_if_certain(predicted, points, proven)
+    )
     if certain is not None:
         filtered, alternatives = certain, ()
     elif state.is_confirmed_by_another(stamp):
         return not_used(state)
     else:
-        rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
+        others = (Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
+        share = 0.0 if turned_unseen is None else _UNSEEN_TURN
+        rest = tuple(h._replace(log_probability=h.log_probability + math.log1p(-share)) for h in others)
+        if turned_unseen is not None:
+            rest = (*rest, Hypothesis(turned_unseen, math.log(share)))
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
         turns = float(predicted.rate @ predicted.rate) > _TURNS**2
@@ -118,8 +127,26 @@ def updated_hypotheses(
         filter=filtered,
         alternatives=alternatives,
         supported_at=stamp if supported else before,
+        paired_at=stamp if len(filtered.used) > 1 else state.paired_at,
         confirmed=confirmed,
     )
+
+
+def _turned_unseen(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> So3State | None:
+    """Return the prediction for a ball that has turned about the one disc in view, where no disc shows it; else None.
+
+    A disc does not move if the ball turns about it, and the others leave the view. The next points can be discs that
+    the ball has turned into view unseen. While nothing else is in view, there is nothing to choose.
+    """
+    if len(state.filter.used) != 1 or len(state.points) < 2:
+        return None
+    pairs = tracker.filter.nearest_pairs(predicted, state.points)
+    if len(pairs.rows) != 1:
+        return None
+    duration = min(max(stamp - state.paired_at, 0.0), DWELL_S)
+    return tracker.filter.with_unseen_turn(predicted, state.points.direction[pairs.rows[0]], duration)
 
 
 def _supports(

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from ball_world import DT, POSE, RIG, photo
 from conftest import directions
+from so3_world import FILTER
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.filters.so3 import Pairing
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
+from spheremouse.ball.filters.so3_settings import PERSISTENCE_S, usual_acceleration
 from spheremouse.ball.points import intersect
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance, with_settings
 from spheremouse.geometry.rotation import exp, log
+from spheremouse.simulate.ball.profile import play
 from spheremouse.tracker import Status
 
 
@@ -224,3 +227,36 @@ def test_a_pair_in_a_wide_gate_is_not_certain():
         predicted = filter_.predict(replace(state, joint=doubt, modes=None), state.stamp + DT)
         points = intersect(photo(exp(sigma * discs[0]), rng, discs), RIG, POSE)
         assert (filter_.update_if_certain(predicted, points, none) is not None) == certain
+
+
+@pytest.mark.parametrize(("number", "seed"), [(8, 2), (8, 35), (14, 23)])
+def test_a_turn_about_the_one_disc_in_view_is_found_when_another_comes_into_view(number, seed):
+    rng, discs = np.random.default_rng(100 * seed + number), directions(number, 100 * seed + number)
+    motion, tracker, first = play(10.0, np.random.default_rng([seed, 2])), build(RIG, POSE, Settings()), None
+    state, errors = begin(tracker, 0.0), []
+    for t in np.arange(300) * DT:
+        R = motion.attitude(np.array([t]))[0]
+        state = advance(state, t, photo(R, rng, discs), tracker).state
+        if first is None and state.status is Status.TRACKING:
+            first = state.filter.attitude.T @ R  # the tracker's axes are those of this frame
+        if first is not None and state.confirmed:
+            error = np.linalg.norm(log(state.filter.attitude @ first @ R.T))
+            errors.append((error, np.sqrt(np.trace(state.filter.joint[:3, :3]))))
+    error, sigma = np.transpose(errors)
+    assert len(errors) > 100
+    assert np.mean((error > 4.0 * sigma) & (error > np.radians(2.0))) < 0.02
+
+
+def test_a_turn_that_no_disc_has_shown_is_as_uncertain_as_a_random_walk_of_the_rate():
+    rng, steps, duration = np.random.default_rng(0), 200, 0.2
+    axis = np.array([0.6, 0.0, 0.8])
+    state = FILTER.initial(0.0, np.eye(3))
+    known = replace(state, joint=np.zeros_like(state.joint))
+    density = 2.0 * PERSISTENCE_S * usual_acceleration(FILTER.settings) ** 2
+    rate = np.cumsum(rng.normal(0.0, np.sqrt(density * duration / steps), (20000, steps)), axis=1)
+    turn = rate.sum(axis=1) * duration / steps
+    expected = np.cov(np.column_stack([turn, rate[:, -1]]).T)
+    found = FILTER.with_unseen_turn(known, axis, duration).joint[:6, :6]
+    lift = np.kron(np.eye(2), axis[:, None])
+    assert lift.T @ found @ lift == pytest.approx(expected, rel=0.04)
+    assert found == pytest.approx(lift @ (lift.T @ found @ lift) @ lift.T, abs=1e-12)
