@@ -38,6 +38,14 @@ _ALL_ARRIVED = DeliveryStatus()
 _QueuedReport = tuple[Report, float, bool, float]
 
 
+def log_line(name: str, reason: object) -> str:
+    """Return the log line of an output with a `name` as "output udp:HOST:PORT".
+
+    It names the output once: an error of its address begins with the address, too.
+    """
+    return f"{name}: {str(reason).removeprefix(name.removeprefix('output ') + ': ')}"
+
+
 class OutputThread:
     """Sends motion from its own thread. You may call all methods from any thread; only `close` blocks."""
 
@@ -310,7 +318,7 @@ class OutputThread:
         if trouble and self._failed is None:
             self._reset()
             self._output.drop_waiting()
-            self._log(f"{self._name}: {trouble}")
+            self._log(log_line(self._name, trouble))
         if trouble:
             self._failed = trouble
         elif self._failed is not None:
@@ -326,7 +334,7 @@ class OutputThread:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
         if reason not in (self._failed, self._unproven):
-            self._log(f"{self._name}: {reason}" + ("" if self._ended else "; trying again until it works"))
+            self._log(log_line(self._name, reason) + ("" if self._ended else "; trying again until it works"))
         self._failed, self._unproven = reason, None
         self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
@@ -342,7 +350,7 @@ class OutputThread:
                 self._calls.run(call, output.__exit__, None if error is None else type(error), error, None)
             except Exception as e:
                 if error is None:  # otherwise the output failed before
-                    self._log(f"{self._name}: {_reason(e)}")
+                    self._log(log_line(self._name, _reason(e)))
             missing = plus(_delivery(output).waiting, _delivery(output).lost)
             self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
             self._output = None

@@ -27,6 +27,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Output, OutputClosed, Report, open_output, report_of, response_of
 from spheremouse.output.counts import OutputCounter
+from spheremouse.output.reporter import log_line
 from spheremouse.output.sample import Sample
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Frame, check_size
@@ -152,7 +153,7 @@ def opened(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Outp
         except OutputError as e:
             if spec == specs[-1] and not outputs:
                 raise
-            view.log(_line(spec, e))
+            view.log(log_line(f"output {spec}", e))
     return outputs
 
 
@@ -181,12 +182,8 @@ def _send(report: Report, working: dict[str, tuple[Output, OutputCounter]], view
             if len(working) == 1:
                 raise
             del working[spec]
-            view.log(_line(spec, e if isinstance(e, OutputError) else "the reader of the output is gone"))
-
-
-def _line(spec: str, reason: object) -> str:
-    """Return the log line of an output. It names the output once: the error of an address begins with it, too."""
-    return f"output {spec}: {str(reason).removeprefix(f'{spec}: ')}"
+            reason = e if isinstance(e, OutputError) else "the reader of the output is gone"
+            view.log(log_line(f"output {spec}", reason))
 
 
 def merged(cameras: Sequence[Iterable[Frame]]) -> Iterator[Frame]:

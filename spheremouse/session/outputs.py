@@ -167,7 +167,7 @@ class Outputs:
     ) -> RunOutput:
         """Return an output with its thread. Raises ControlError if the system refuses the thread."""
         name, open_it = f"output {spec}" if several else "output", partial(self._open, spec, closed)
-        thread = OutputThread(open_it, settings, partial(self._log_of, spec), start=self._begin, name=name)
+        thread = OutputThread(open_it, settings, self._log, start=self._begin, name=name)
         with contextlib.suppress(OutputError):  # the thread logs it
             return RunOutput(spec, thread, OutputCounter(response_of(spec)))
         return RunOutput(spec, thread, OutputCounter(COUNTS_RESPONSE))
@@ -181,10 +181,6 @@ class Outputs:
             self._claim()
         output.begin(self._describe_run)
         return output
-
-    def _log_of(self, spec: str, line: str) -> None:
-        """Log a line of an output. It names the output once: the error of an address begins with it, too."""
-        self._log(line.replace(f"output {spec}: {spec}: ", f"output {spec}: "))
 
     def _begin(self, thread: threading.Thread) -> None:
         begin(thread) if self._late is None else self._late.append(thread)
