@@ -99,19 +99,17 @@ def updated_hypotheses(
             proven &= _is_clear(state)
     proven &= extend_map
     turned_unseen = _turned_unseen(state, stamp, tracker, predicted)
-    certain = (
-        None if state.alternatives or turned_unseen is not None else f.update_if_certain(predicted, points, proven)
-    )
+    in_doubt = bool(state.alternatives) or turned_unseen is not None
+    certain = None if in_doubt else f.update_if_certain(predicted, points, proven)
     if certain is not None:
         filtered, alternatives = certain, ()
     elif state.is_confirmed_by_another(stamp):
         return not_used(state)
     else:
-        others = (Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
-        share = 0.0 if turned_unseen is None else _UNSEEN_TURN
-        rest = tuple(h._replace(log_probability=h.log_probability + math.log1p(-share)) for h in others)
+        less = 0.0 if turned_unseen is None else math.log1p(-_UNSEEN_TURN)
+        rest = [Hypothesis(f.predict(h.state, stamp), h.log_probability + less) for h in state.alternatives]
         if turned_unseen is not None:
-            rest = (*rest, Hypothesis(turned_unseen, math.log(share)))
+            rest.append(Hypothesis(turned_unseen, math.log(_UNSEEN_TURN)))
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
         turns = float(predicted.rate @ predicted.rate) > _TURNS**2
