@@ -43,7 +43,10 @@ class Actions:
         return Done(_message(await self._daemon.set(values, gesture), "Applied."))
 
     async def do(self, action: str, arguments: dict[str, Any]) -> Done:
-        """Carry out an action by its name. Raises ControlError if it is refused or unknown."""
+        """Carry out an action by its name.
+
+        Raises ControlError if it is refused or unknown, and ConfigurationError for invalid keys or an invalid file.
+        """
         if action in _REQUESTS:
             return Done(_message(await self._daemon.ask(action, **arguments), _WORDS.get(action, "Done.")))
         if action == "undo":

@@ -69,7 +69,7 @@ class DaemonLink:
         threading.Thread(target=self._run, name="daemon", daemon=True).start()
 
     def set_watched(self, watched: bool) -> None:
-        """Open the connection if somebody watches, else close it."""
+        """Open the connection if a browser watches, else close it."""
         self._wanted.set() if watched else self._wanted.clear()
 
     def close(self) -> None:
@@ -206,7 +206,7 @@ class DaemonLink:
     # ---- the thread ----
 
     def _run(self) -> None:
-        """Keep a connection to the daemon while somebody watches, and pass its events to the loop."""
+        """Keep a connection to the daemon while a browser watches, and pass its events to the loop."""
         while self._wanted.wait() and not self._closed:
             socket = self.socket
             try:

@@ -74,7 +74,7 @@ class Recordings:
         return "The page shows the camera."
 
     def end(self) -> None:
-        """End the replay, and show the camera. Settings changed for the replay are lost."""
+        """End the replay, and show the camera. Settings changed during the replay are lost."""
         replay, self._replay = self._replay, None
         if replay is not None:
             replay.end()

@@ -137,7 +137,10 @@ class _Browser:
         return json.dumps({**self._page.daemon.hello(), "version": __version__, "owner": self.owner})
 
     def push(self, kind: str, message: str | bytes) -> None:
-        """Add a message; a newer status or frame replaces one that waits. If too many wait, the oldest is dropped."""
+        """Add a message. One with a whole state, or a frame, replaces the one of its kind that waits.
+
+        If too many wait, the oldest is dropped.
+        """
         if kind in ("status", "values", "scene", "hello", "guide", "frame"):
             self._waiting = deque((w for w in self._waiting if w[0] != kind), _MAX_WAITING)
         self._waiting.append((kind, message))
