@@ -77,7 +77,7 @@ class Page:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port)):
                 break
             time.sleep(0.05)
-        self.cookie = f"spheremouse={read_token(file)}"
+        self.cookie = f"spheremouse-{self.port}={read_token(file)}"
 
     def browser(self, *, owner: bool = True, foreign: bool = False) -> connect:
         """Return a connection of a browser; a foreign one shows a page of another origin."""

@@ -1,6 +1,11 @@
 """`spheremouse view`: serve the live page of the running daemon."""
 
 import errno
+import hmac
+import secrets
+from collections.abc import Sequence
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,11 +13,14 @@ import typer
 
 from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError
-from spheremouse.files.token import own_token, present_token, read_token, token_path
-from spheremouse.view.access import ADDRESS, PORT, Access, owners_address
+from spheremouse.files.token import own_token, read_token, token_files, token_path
+from spheremouse.view.access import ADDRESS, PORT, PROOF, Access, owners_address
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
+
+_ANSWER_S = 2.0  # s in which a page must prove its token
+_PROOF_BYTES = 64
 
 
 def view(
@@ -51,7 +59,7 @@ def view(
     computer see a masked picture, motion, settings and log, and can change nothing.
     """
     if url:
-        print(owners_address(address, port, read_token(token_file or present_token())))
+        print(page_address(address, port, [token_file] if token_file else token_files()))
     else:
         from spheremouse.view.guide import GuideOptions
         from spheremouse.view.server import application
@@ -59,6 +67,39 @@ def view(
         token = own_token(token_file or token_path())
         app = application(socket, Access(token, port, names or []), GuideOptions(cabinet, source))
         _serve(app, address, port, token)
+
+
+def page_address(address: str, port: int, files: Sequence[Path]) -> str:
+    """Return the owner's address of the page that runs at a port, or without one, with the token of the first file.
+
+    The page proves which token it has. Raises ControlError if it is in none of the files, or a file cannot be read.
+    """
+    nonce = secrets.token_hex(16)
+    proof = _proof(address, port, nonce)
+    if proof is None:
+        return owners_address(address, port, read_token(files[0]))
+    trouble = ControlError(f"{address}:{port}: the page that runs there has another token", "give its --token-file")
+    for file in files:
+        try:
+            token = read_token(file)
+        except ControlError as e:
+            trouble = e
+            continue
+        if hmac.compare_digest(proof, Access(token, port).proof(nonce).encode()):
+            return owners_address(address, port, token)
+    raise trouble
+
+
+def _proof(address: str, port: int, nonce: str) -> bytes | None:
+    """Return the proof of the page's token; None if no page answers."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
+    try:
+        connection = HTTPConnection(host, port, timeout=_ANSWER_S)
+        connection.request("GET", f"{PROOF}?nonce={nonce}")
+        with connection.getresponse() as answer:
+            return answer.read(_PROOF_BYTES) if answer.status == HTTPStatus.OK else None
+    except (OSError, HTTPException):
+        return None
 
 
 def _serve(app: "Starlette", address: str, port: int, token: str) -> None:

@@ -40,7 +40,9 @@ def token_path() -> Path:
     return state_folder() / _TOKEN_FILE
 
 
-def present_token() -> Path:
-    """Return the path of the token of the page that runs: the user's own one, else the system's."""
+def token_files() -> list[Path]:
+    """Return the files with the tokens of pages on this computer: the user's own one if it exists, and the system's."""
     own = token_path()
-    return _SYSTEM_TOKEN if not own.exists() and os.path.lexists(_SYSTEM_TOKEN.parent) else own
+    if not os.path.lexists(_SYSTEM_TOKEN.parent):
+        return [own]
+    return [own, _SYSTEM_TOKEN] if own.exists() else [_SYSTEM_TOKEN]

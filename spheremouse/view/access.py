@@ -10,7 +10,6 @@ import socket
 from collections.abc import Sequence
 from typing import NamedTuple
 
-COOKIE = "spheremouse"
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -23,6 +22,7 @@ HEADERS = {
 }
 
 ADDRESS, PORT = "127.0.0.1", 8765  # of the page, unless others are given
+PROOF = "/proof"  # path at which the page proves that it has a token
 
 
 class Visitor(NamedTuple):
@@ -39,13 +39,14 @@ class Access:
         self._token = token
         known = ("localhost", socket.gethostname(), f"{socket.gethostname()}.local", *names)
         self._names, self._port = {name.lower() for name in known}, port
+        self.cookie = f"spheremouse-{port}"  # browsers share the cookies of all ports of a host
 
     def visitor(
         self, client: str, host: str, origin: str | None, cookie: str | None = None, given: str | None = None
     ) -> Visitor | None:
         """Return the visitor of a request; None if it must be refused.
 
-        `client` is the address of the other side. `host` and `origin` are its headers, `cookie` is the value of COOKIE,
+        `client` is the address of the other side. `host` and `origin` are its headers, `cookie` is the value of ours,
         and `given` is the token in the address. A page of another origin, or a foreign name for this computer, is
         refused.
         """
@@ -57,6 +58,10 @@ class Access:
     def is_token(self, text: str | None) -> bool:
         """Return True if the text is the token."""
         return text is not None and hmac.compare_digest(text.encode("utf-8", "replace"), self._token.encode())
+
+    def proof(self, nonce: str) -> str:
+        """Return proof that we have the token: HMAC-SHA256 of port and `nonce`, a text that is used once, in hex."""
+        return hmac.new(self._token.encode(), f"{self._port} {nonce}".encode(), "sha256").hexdigest()
 
     def _is_allowed_host(self, host: str) -> bool:
         """Return True if the Host header has our port, and an IP address or one of our names.

@@ -27,7 +27,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from spheremouse import __version__
 from spheremouse.errors import SpheremouseError, one_line, printable
 from spheremouse.session.control.jpeg_picture import JpegPicture
-from spheremouse.view.access import COOKIE, HEADERS, Access, Visitor
+from spheremouse.view.access import HEADERS, PROOF, Access, Visitor
 from spheremouse.view.actions import Actions
 from spheremouse.view.daemon import DaemonLink
 from spheremouse.view.guide import LOOK, Guide, GuideOptions
@@ -249,8 +249,10 @@ def application(socket: Path | None, access: Access, guide_options: GuideOptions
         if given is not None:
             answer: Response = RedirectResponse(request.url.path, 303, HEADERS)
             if access.is_token(given):
-                answer.set_cookie(COOKIE, given, _COOKIE_AGE, path="/", httponly=True, samesite="strict")
+                answer.set_cookie(access.cookie, given, _COOKIE_AGE, path="/", httponly=True, samesite="strict")
             return answer
+        if request.url.path == PROOF:
+            return PlainTextResponse(access.proof(request.query_params.get("nonce", "")), headers=HEADERS)
         path = FILES.get(request.url.path)
         if path is None:
             return PlainTextResponse("404: there is no such file\n", 404, HEADERS)
@@ -281,7 +283,7 @@ def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
         "" if client is None else client.host,
         headers.get("host", ""),
         headers.get("origin"),
-        request.cookies.get(COOKIE),
+        request.cookies.get(access.cookie),
         request.query_params.get("token"),
     )
 

@@ -19,9 +19,12 @@ from pathlib import Path
 import pytest
 import simplejpeg
 from daemon_world import Film, World
+from reporting import free_port
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from spheremouse.commands.view import page_address
+from spheremouse.errors import ControlError
 from spheremouse.view import server as server_module
 from spheremouse.view.access import Access
 from spheremouse.view.guide import GuideOptions
@@ -92,7 +95,7 @@ class Browser:
     """A browser's side of the WebSocket."""
 
     def __init__(self, port, owner=True, **headers):
-        cookie = {"Cookie": f"spheremouse={TOKEN}"} if owner else {}
+        cookie = {"Cookie": f"spheremouse-{port}={TOKEN}"} if owner else {}
         address = f"127.0.0.1:{port}"
         given = {"origin": f"http://{address}", "additional_headers": cookie, "max_size": None} | headers
         self._connection = connect(f"ws://{address}/live", **given)
@@ -397,18 +400,34 @@ def test_a_replay_that_ends_at_its_start_is_reported_once(world, page, clip):
         assert [m["id"] for m in browser.seen if m["type"] == "trouble"] == [1]  # the answer
 
 
-@pytest.mark.parametrize("cookies", ["a=b; spheremouse={}", "spheremouse={}; other[1]=\xe4", '=;; x="; spheremouse={}'])
+@pytest.mark.parametrize("cookies", ["a=b; {}", "{}; other[1]=\xe4", '=;; x="; {}'])
 def test_the_token_is_found_among_cookies_of_other_pages(alone, cookies):
-    with Browser(alone, owner=False, additional_headers={"Cookie": cookies.format(TOKEN)}) as browser:
+    ours = f"spheremouse-{alone}={TOKEN}"
+    with Browser(alone, owner=False, additional_headers={"Cookie": cookies.format(ours)}) as browser:
         assert browser.until("hello")["owner"] is True
 
 
 @pytest.mark.parametrize(
-    "cookies", ["", "spheremouse=wrong", "spheremouse=", f"other={TOKEN}", "spheremouse=\xe4", "; ;=;"]
+    "cookies", ["", "{}=wrong", "{}=", f"other={TOKEN}", f"spheremouse={TOKEN}", f"{{}}1={TOKEN}", "{}=\xe4", "; ;=;"]
 )
 def test_other_cookies_make_no_owner(alone, cookies):
-    with Browser(alone, owner=False, additional_headers={"Cookie": cookies}) as browser:
+    given = cookies.format(f"spheremouse-{alone}")
+    with Browser(alone, owner=False, additional_headers={"Cookie": given}) as browser:
         assert browser.until("hello")["owner"] is False
+
+
+def test_the_owners_address_has_the_token_of_the_page_that_runs(alone, tmp_path):
+    """Of an own page and that of the service, each has its own token."""
+    for name, token in (("own", "another-token-of-more-than-32-characters"), ("service", TOKEN)):
+        (tmp_path / name).write_text(token)
+    own, service = tmp_path / "own", tmp_path / "service"
+    for address in ("127.0.0.1", "0.0.0.0"):
+        assert page_address(address, alone, [own, service]).endswith(f":{alone}/?token={TOKEN}")
+    for files, reason in (([own], "another token"), ([own, tmp_path / "missing"], "missing: cannot be read")):
+        with pytest.raises(ControlError, match=reason):
+            page_address("127.0.0.1", alone, files)
+    nobody = free_port()
+    assert page_address("127.0.0.1", nobody, [own, service]).endswith("another-token-of-more-than-32-characters")
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])
@@ -429,6 +448,7 @@ def test_files_are_served_with_a_policy_and_no_other_path_is_opened(alone):
     assert get(alone, Host="evil.example")[0] == 403
     status, headers, _ = get(alone, f"/?token={TOKEN}")
     assert (status, headers["location"]) == (303, "/")
+    assert headers["set-cookie"].startswith(f"spheremouse-{alone}={TOKEN};")  # browsers share cookies over ports
     assert "HttpOnly" in headers["set-cookie"]
     assert "SameSite=strict" in headers["set-cookie"]
     assert "set-cookie" not in get(alone, "/?token=wrong")[1]

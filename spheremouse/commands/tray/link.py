@@ -9,10 +9,11 @@ from typing import Any
 
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.view import View
+from spheremouse.commands.view import page_address
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.token import present_token, read_token
+from spheremouse.files.token import token_files
 from spheremouse.session.control.client import Client
-from spheremouse.view.access import ADDRESS, PORT, owners_address
+from spheremouse.view.access import ADDRESS, PORT
 
 _POLL_S = 1.0
 _NOTE_S = 20.0  # how long the menu shows the result of an action
@@ -92,7 +93,7 @@ class Link:
 
 def _open_page() -> str:
     """Open the live page in the browser as its owner, and return a note. ControlError if its token cannot be read."""
-    opened = webbrowser.open(owners_address(ADDRESS, PORT, read_token(present_token())))
+    opened = webbrowser.open(page_address(ADDRESS, PORT, token_files()))
     return "the live page is in the browser" if opened else f"open http://{ADDRESS}:{PORT} in a browser"
 
 
