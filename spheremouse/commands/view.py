@@ -14,7 +14,7 @@ import typer
 from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError
 from spheremouse.files.token import own_token, read_token, token_files, token_path
-from spheremouse.view.access import ADDRESS, PORT, PROOF, Access, owners_address
+from spheremouse.view.access import ADDRESS, PORT, PROOF, Access
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -77,7 +77,7 @@ def page_address(address: str, port: int, files: Sequence[Path]) -> str:
     nonce = secrets.token_hex(16)
     proof = _proof(address, port, nonce)
     if proof is None:
-        return owners_address(address, port, read_token(files[0]))
+        return _with_token(address, port, read_token(files[0]))
     trouble = ControlError(f"{address}:{port}: the page that runs there has another token", "give its --token-file")
     for file in files:
         try:
@@ -86,8 +86,14 @@ def page_address(address: str, port: int, files: Sequence[Path]) -> str:
             trouble = e
             continue
         if hmac.compare_digest(proof, Access(token, port).proof(nonce).encode()):
-            return owners_address(address, port, token)
+            return _with_token(address, port, token)
     raise trouble
+
+
+def _with_token(address: str, port: int, token: str) -> str:
+    """Return the address of the page with the token."""
+    host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
+    return f"http://{host}:{port}/?token={token}"
 
 
 def _proof(address: str, port: int, nonce: str) -> bytes | None:
@@ -117,5 +123,5 @@ def _serve(app: "Starlette", address: str, port: int, token: str) -> None:
         reason = str(e.strerror).partition(" (while")[0]
         raise ControlError(f"{address}:{port}: cannot be opened ({reason})", hint) from None
     with listener:
-        typer.echo(f"live page: {owners_address(address, port, token)}", err=True)
+        typer.echo(f"live page: {_with_token(address, port, token)}", err=True)
         server(app, address, port).run([listener])

@@ -2,20 +2,23 @@
 
 import asyncio
 import contextlib
+import json
 import resource
 import shutil
 import tempfile
 from asyncio.subprocess import Process
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from spheremouse.files.config import key_of
+from spheremouse.files.listing import Listed
 from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.process import child
 
 _MAX_BYTES = 2 << 30  # of writable memory, with the stacks of the threads; 0.7 GB on two cores
 _POLL_S = 0.1  # s
+_OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 
 
 class ReplayProcess:
@@ -72,3 +75,20 @@ class ReplayProcess:
                     client.ask("set", assignments=settable)
                 return True
         return False
+
+
+def options_of(status: dict[str, Any], values: dict[str, Any], recording: Listed) -> list[str]:
+    """Return options of `run` and `evaluate` that give a recording the settings of a daemon.
+
+    These are its configuration file, the saved settings, and those of its command line with their `values` by key. They
+    exclude settings of this computer. `--tracker` is added if the daemon's does not fit the recording.
+    """
+    config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
+    words = [] if config is None else ["--config", str(config)]
+    for assignment in (*(status.get("saved") or ()), *(f"{key}={json.dumps(values[key])}" for key in given)):
+        key = key_of(assignment)
+        if key != "wand.balls" and key.partition(".")[0] not in _OF_THE_COMPUTER:
+            words += ["--set", assignment]
+    if (status.get("tracker") == "wand") != recording.wand:
+        words += ["--tracker", "wand" if recording.wand else "so3"]
+    return words

@@ -8,7 +8,7 @@ import hmac
 import ipaddress
 import socket
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -23,12 +23,7 @@ HEADERS = {
 
 ADDRESS, PORT = "127.0.0.1", 8765  # of the page, unless others are given
 PROOF = "/proof"  # path at which the page proves that it has a token
-
-
-class Visitor(NamedTuple):
-    """A request that may pass."""
-
-    owner: bool
+Visitor = Literal["owner", "stranger"]
 
 
 class Access:
@@ -52,8 +47,9 @@ class Access:
         """
         if not self._is_allowed_host(host) or origin not in (None, f"http://{host}", f"https://{host}"):
             return None
-        owner = self.is_token(given) or self.is_token(cookie)
-        return Visitor(owner) if owner or _is_loopback(client) else None
+        if self.is_token(given) or self.is_token(cookie):
+            return "owner"
+        return "stranger" if _is_loopback(client) else None
 
     def is_token(self, text: str | None) -> bool:
         """Return True if the text is the token."""
@@ -76,12 +72,6 @@ class Access:
         except ValueError:
             return name.lower() in self._names
         return True
-
-
-def owners_address(address: str, port: int, token: str) -> str:
-    """Return the address of the page with the token."""
-    host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
-    return f"http://{host}:{port}/?token={token}"
 
 
 def _is_loopback(client: str) -> bool:

@@ -35,7 +35,7 @@ _AT_ONCE = ("motion", "pointer", "record")  # sections that build nothing
 _DESCRIBED_KEYS = ("discs_known", "rig", "tracker", "changes", "config", "pid")  # that change with settings or scene
 
 
-class _Description(NamedTuple):
+class Description(NamedTuple):
     """Parts of `hello` that the daemon has."""
 
     settings: list[Message]
@@ -58,12 +58,12 @@ class DaemonLink:
         self.count = 0  # samples since the start
         self._rows: deque[list[Any]] = deque(maxlen=_MAX_SAMPLES)
         self._storing = threading.Lock()
-        self._described = _Description(settings=[], scene=None, profiles={})
+        self.described = Description(settings=[], scene=None, profiles={})
         self._undo: deque[tuple[str, Values]] = deque(maxlen=_UNDO_STEPS)
         self._setting = asyncio.Lock()  # one `set` is under way
         self._next_change = 0.0  # s, monotonic
         self._refreshing: asyncio.Task[None] | None = None
-        self._described_for: list[Any] = []  # `_described_by` of the status for which `_described` was read
+        self._described_for: list[Any] = []  # `_described_by` of the status for which `described` was read
         self._loop = asyncio.get_running_loop()
         self._wanted, self._closed = threading.Event(), False
         threading.Thread(target=self._run, name="daemon", daemon=True).start()
@@ -84,14 +84,9 @@ class DaemonLink:
             self._undo.clear()
             self._ended(ControlError("connecting to the daemon"))
 
-    @property
-    def settings(self) -> list[Message]:
-        """The settings in use, with value and default."""
-        return self._described.settings
-
     def hello(self) -> Message:
         """Return settings, profiles, scene and log for a browser."""
-        settings, scene, profiles = self._described
+        settings, scene, profiles = self.described
         return {"type": "hello", "settings": settings, "profiles": profiles, "scene": scene, "log": list(self.log)}
 
     def state(self) -> Message:
@@ -103,7 +98,7 @@ class DaemonLink:
         changes = (self.status or {}).get("changes") or []
         return {
             "type": "values",
-            "values": {about["key"]: about["value"] for about in self._described.settings},
+            "values": {about["key"]: about["value"] for about in self.described.settings},
             "unsaved": [key_of(change) for change in changes],
             "undo": len(self._undo),
         }
@@ -114,9 +109,7 @@ class DaemonLink:
             new = min(self.count - after, len(self._rows))
             return list(islice(self._rows, len(self._rows) - new, None)), self.count
 
-    # ---- requests ----
-
-    async def ask(self, command: str, **arguments: Any) -> Message:
+    async def ask(self, command: str, /, **arguments: Any) -> Message:
         """Return the daemon's reply. Raises ControlError if it refuses or does not answer."""
         return await asyncio.to_thread(self._ask, command, arguments)
 
@@ -160,15 +153,10 @@ class DaemonLink:
 
     def _update(self, values: Values) -> None:
         """Take over new values, and publish them."""
-        for about in self._described.settings:
+        for about in self.described.settings:
             about["value"] = values.get(about["key"], about["value"])
         self._described_for = []  # another client may change them back before a status shows this change
         self.publish(self.values())
-
-    # ---- events, in the loop ----
-
-    def _begun(self) -> None:
-        self._described_for = []  # the first status has all settings read
 
     def _ended(self, trouble: ControlError) -> None:
         self.status, self.trouble = None, trouble
@@ -193,17 +181,15 @@ class DaemonLink:
     async def _refresh_description(self, described_for: list[Any]) -> None:
         with contextlib.suppress(ControlError):
             async with self._setting:  # else an older value could replace one that was just set
-                before, self._described = self._described, await asyncio.to_thread(_describe, self.socket)
+                before, self.described = self.described, await asyncio.to_thread(_describe, self.socket)
             self._described_for = described_for
-            _, scene, profiles = self._described
-            bare = [[{**about, "value": None} for about in d.settings] for d in (before, self._described)]
+            _, scene, profiles = self.described
+            bare = [[{**about, "value": None} for about in d.settings] for d in (before, self.described)]
             if bare[0] != bare[1] or profiles != before.profiles:
                 self.publish(self.hello())
             elif scene != before.scene:
                 self.publish({"type": "scene", "scene": scene})
             self.publish(self.values())
-
-    # ---- the thread ----
 
     def _run(self) -> None:
         """Keep a connection to the daemon while a browser watches, and pass its events to the loop."""
@@ -211,7 +197,7 @@ class DaemonLink:
             socket = self.socket
             try:
                 with Client(socket) as client:
-                    self._post(self._begun)
+                    self._described_for = []  # the first status has all settings read
                     for event in client.events(STATUS_INTERVAL, samples=True):
                         if self._closed or not self._wanted.is_set() or socket is not self.socket:
                             break
@@ -238,10 +224,10 @@ class DaemonLink:
             self._loop.call_soon_threadsafe(function, *arguments)
 
 
-def _describe(socket: Path | None) -> _Description:
+def _describe(socket: Path | None) -> Description:
     with Client(socket) as client:
         settings, scene, profiles = (_ask_if_known(client, command) for command in ("settings", "scene", "profile"))
-    return _Description(settings.get("settings", []), scene or None, profiles.get("profiles", {}))
+    return Description(settings.get("settings", []), scene or None, profiles.get("profiles", {}))
 
 
 def _ask_if_known(client: Client, command: str) -> Message:

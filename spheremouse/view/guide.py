@@ -8,7 +8,6 @@ import asyncio
 import base64
 import contextlib
 import json
-import re
 import shlex
 import signal
 import tempfile
@@ -16,10 +15,13 @@ from asyncio.subprocess import STDOUT, Process
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+from pydantic import Field
 
 from spheremouse.errors import ControlError, os_errors_as, printable
 from spheremouse.files import safe_files
+from spheremouse.files.validate import Part
 from spheremouse.session.process import child
 
 LOOK = "camera"  # the step before all others
@@ -28,7 +30,6 @@ _MAX_LINES = 40
 _MAX_DEVICE_BYTES = 100_000
 _STOP_TIMEOUT = 10.0  # s until a command has ended by itself
 _STOPPED = (-signal.SIGTERM, 128 + signal.SIGTERM, 128 + signal.SIGINT)  # exit codes
-_SQUARE = re.compile(r"\d{1,4}(\.\d{1,3})?")  # mm
 _NO_STEP: dict[str, Any] = {"name": "", "command": "", "otherwise": ()}
 
 
@@ -37,6 +38,16 @@ class GuideOptions(NamedTuple):
 
     folder: Path | None = None  # of the calibration
     source: str | None = None  # the camera
+
+
+class GuideStep(Part):
+    """An action of the guide, and its arguments; see `Guide.do`."""
+
+    do: Literal["look", "run", "stop", "describe", "steps"] = "steps"
+    step: str = ""
+    number: int = -1  # of the command
+    square: str = Field("", pattern=r"^(\d{1,4}(\.\d{1,3})?)?$", description="write a length in mm, as 20 or 20.1")
+    text: str = ""
 
 
 class Guide:
@@ -59,7 +70,7 @@ class Guide:
         """Return the message of the command that runs, or ended last."""
         return {"type": "guide", "lines": list(self._lines), **self._state}
 
-    async def do(self, action: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    async def do(self, given: GuideStep) -> dict[str, Any]:
         """Carry out an action of the page, and return its answer: the steps, or an empty object.
 
         - `look`: start the camera's preview. `run`: start a command of the next step (`_command` has the arguments).
@@ -69,24 +80,21 @@ class Guide:
         - `steps`: return the steps as `calibrate next --json` prints them. If the next one is to fill in device.yaml,
           `device` has its text.
 
-        Raises ControlError if an action is unknown, refused or fails.
+        Raises ControlError if an action is refused or fails.
         """
-        if action == "look":
+        if given.do == "look":
             source = [] if self._source is None else [self._source]
             options = ("--every", f"{_LOOK_INTERVAL}", "--json", "--out", f"{self._picture}")
             await self._start(LOOK, "preview", *source, *options)
-        elif action == "stop":
+        elif given.do == "stop":
             await self.stop()
-        elif action == "run":
-            name, words = self._command(arguments)
-            await self._start(name, *words)
-        elif action in ("steps", "describe"):
-            if action == "describe":
-                self._describe(str(arguments.get("text", "")))
+        elif given.do == "run":
+            await self._start(given.step, *self._command(given))
+        else:
+            if given.do == "describe":
+                self._describe(given.text)
             self._steps = await self._read_steps()
             return self._steps
-        else:
-            raise ControlError(f"guide {action}: there is no such action")
         return {}
 
     async def stop(self, name: str | None = None) -> None:
@@ -113,29 +121,25 @@ class Guide:
                 steps["device"] = safe_files.read_text(path, _MAX_DEVICE_BYTES, "device")
         return steps
 
-    def _command(self, arguments: dict[str, Any]) -> tuple[str, list[str]]:
-        """Return the name of the next step, and the words after `spheremouse` of its command with this number.
+    def _command(self, given: GuideStep) -> list[str]:
+        """Return the words after `spheremouse` of the next step's command with this number.
 
-        Raises ControlError if the step or number is not in the last list, or the command or square is not permitted.
+        Raises ControlError if the step or number is not in the last list, or the command is not permitted.
         """
         step = next((s for s in self._steps.get("steps", ()) if s["state"] == "next"), _NO_STEP)
         commands = [step["command"], *(command for _, command in step["otherwise"])]
-        name, number, square = (arguments.get(key) for key in ("step", "number", "square"))
-        if name != step["name"] or not isinstance(number, int) or not 0 <= number < len(commands):
+        if given.step != step["name"] or not 0 <= given.number < len(commands):
             raise ControlError("guide: the steps have changed; look at the list again")
-        program, *words = shlex.split(commands[number]) or [""]
+        program, *words = shlex.split(commands[given.number]) or [""]
         if program != "spheremouse":
-            raise ControlError(f"guide: the page may not run it; in a terminal: {commands[number]}")
+            raise ControlError(f"guide: the page may not run it; in a terminal: {commands[given.number]}")
         if words[1:2] == ["photos"]:
             words += ["--json", "--picture", str(self._picture)]
             words += [] if self._source is None else ["--source", self._source]
-        if square:
-            if not _SQUARE.fullmatch(str(square)):
-                raise ControlError("square: must be a length in mm, as in 20 or 20.1")
-            words += ["--square", f"{square}mm"]
+        words += ["--square", f"{given.square}mm"] if given.square else []
         if words[0] == "run" and self._socket is not None:
             words += ["--set", f"control.socket={self._socket}"]
-        return step["name"], words
+        return words
 
     def _describe(self, text: str) -> None:
         """Write device.yaml. `calibrate next` reports its mistakes."""

@@ -5,30 +5,27 @@ A replay is a process of its own, which takes the daemon's place on the page. Th
 
 import asyncio
 import contextlib
-import json
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from spheremouse.errors import ControlError, printable
-from spheremouse.files.config import key_of
 from spheremouse.files.exchange import values_of
 from spheremouse.files.listing import Listed, list_recordings
 from spheremouse.session.control.client import NoDaemonError
-from spheremouse.session.replay import ReplayProcess
+from spheremouse.session.process import child
+from spheremouse.session.replay import ReplayProcess, options_of
 from spheremouse.view.daemon import DaemonLink, Message
 
 _MAX_END_S = 3.0  # s; systemd gives the page 5 s
-_OF_THE_COMPUTER = ("source", "output", "rig", "camera_file", "map", "realtime", "control", "metrics", "record")
 _MAX_COMPARED = 60.0  # s of a recording
 
 
 class Recordings:
     """The recordings in the daemon's folder and in the working folder, and the replay of one of them."""
 
-    def __init__(self, daemon: DaemonLink, run: Callable[..., Awaitable[Message]]) -> None:
-        """`run` returns the JSON that a command of ours prints."""
-        self._daemon, self._run, self._live = daemon, run, daemon.socket
+    def __init__(self, daemon: DaemonLink) -> None:
+        self._daemon, self._live = daemon, daemon.socket
         self._replay: ReplayProcess | None = None
+        self._runs: list[asyncio.Task[Message]] = []  # of the comparison that is under way
         self._ending: asyncio.Task[str] | None = None  # waits for the end of the last replay
 
     async def listed(self) -> Message:
@@ -60,10 +57,11 @@ class Recordings:
         return f"{name} plays in place of the camera."
 
     async def leave(self) -> str:
-        """End the replay, and set the settings that it had changed in the daemon, as one step of undo.
+        """End a comparison and the replay, and set the settings that it had changed in the daemon, as one step of undo.
 
         Without a daemon they are lost. Raises ControlError if the replay does not answer, or the daemon refuses them.
         """
+        self.stop()
         changes = (await self._daemon.ask("status"))["changes"]
         self.end()
         with contextlib.suppress(NoDaemonError):
@@ -90,8 +88,8 @@ class Recordings:
         """Return reports of `evaluate` by the saved and by the present settings, as `before` and `after`.
 
         Both are of the section from `begin` to `end`, s, at most 60 s. None or 0 is the end of the recording. The
-        reports of hand-held balls are of the whole recording. Raises ControlError for a longer section, an unknown
-        recording, or one that cannot be tracked.
+        reports of hand-held balls are of the whole recording, which can take minutes. Raises ControlError for a longer
+        section, an unknown recording, one that cannot be tracked, during another comparison, and after `stop`.
         """
         recording, status = await self._recording(name), self._daemon.status or {}
         end = min(end or recording.seconds, recording.seconds)
@@ -101,8 +99,25 @@ class Recordings:
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
         changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
         runs = [words, [*words, *changes]] if changes else [words]
-        before, *after = await asyncio.gather(*(self._run(*run) for run in runs))
+        if self._runs:
+            raise ControlError("compare: another comparison is under way", "wait for it, or stop it")
+        self._runs = [asyncio.create_task(child.answer(self._daemon.socket, *run, timeout=None)) for run in runs]
+        try:
+            before, *after = await asyncio.gather(*self._runs)
+        except asyncio.CancelledError:
+            if not all(run.cancelled() for run in self._runs):  # the browser has left
+                raise
+            raise ControlError("the comparison was ended before its result") from None
+        finally:
+            self.stop()
+            self._runs = []
         return {"before": before, "after": after[0] if after else before}
+
+    def stop(self) -> str:
+        """End the comparison that is under way, if there is one. Return a message."""
+        for run in self._runs:
+            run.cancel()
+        return ""
 
     async def _await_end(self, replay: ReplayProcess) -> str:
         """Return the last line of a replay that has ended. If it was shown, report the line, and show the camera."""
@@ -113,20 +128,7 @@ class Recordings:
         return reason
 
     def _options(self, recording: Listed) -> list[str]:
-        """Return options of `run` and `evaluate`: configuration file, saved and command line's settings of the daemon.
-
-        They exclude settings of this computer. `--tracker` is added if the daemon's does not fit the recording.
-        """
-        status, values = self._daemon.status or {}, self._daemon.values()["values"]
-        config, given = status.get("config"), [key for key in status.get("given") or [] if key in values]
-        words = [] if config is None else ["--config", str(config)]
-        for assignment in (*(status.get("saved") or ()), *(f"{key}={json.dumps(values[key])}" for key in given)):
-            key = key_of(assignment)
-            if key != "wand.balls" and key.partition(".")[0] not in _OF_THE_COMPUTER:
-                words += ["--set", assignment]
-        if (status.get("tracker") == "wand") != recording.wand:
-            words += ["--tracker", "wand" if recording.wand else "so3"]
-        return words
+        return options_of(self._daemon.status or {}, self._daemon.values()["values"], recording)
 
     def _folders(self) -> list[Path]:
         given = (self._daemon.status or {}).get("recordings")

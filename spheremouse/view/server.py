@@ -8,7 +8,9 @@ import contextlib
 import json
 import signal
 import struct
+import sys
 import threading
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -16,7 +18,7 @@ from typing import Any, Literal
 
 import orjson
 import uvicorn
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
@@ -25,8 +27,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from spheremouse import __version__
-from spheremouse.errors import SpheremouseError, one_line, printable
+from spheremouse.errors import ConfigurationError, SpheremouseError, internal_error_text, printable
+from spheremouse.files.plain_json import loads, tuples
+from spheremouse.files.validate import Part, validated
+from spheremouse.files.yaml import Document
 from spheremouse.session.control.jpeg_picture import JpegPicture
+from spheremouse.session.control.protocol import internal_error
 from spheremouse.view.access import HEADERS, PROOF, Access, Visitor
 from spheremouse.view.actions import Actions
 from spheremouse.view.daemon import DaemonLink
@@ -42,34 +48,31 @@ _MAX_WAITING = 300  # messages for one browser
 _PICTURE_TIMEOUT = 0.5  # s; then `next` is answered without a picture
 _REQUEST_TIMEOUT = 5.0  # s in which a connection must request something
 _SEND_TIMEOUT = 30.0  # s in which a browser must read a message
+_PROGRESS_INTERVAL_S = 2.0  # s
 _LINK_KEPT_S = 3.0  # s after the last browser, in which the link to the daemon stays
 _SHOWN = ("number", "stamp", "width", "height", "annotations")  # of a picture
 _COOKIE_AGE = 365 * 86400  # s
 
 
-class _Message(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class _Pace(_Message):
+class _Pace(Part):
     type: Literal["next", "rest"]
 
 
-class _Set(_Message):
+class _Set(Part):
     type: Literal["set"]
-    id: int
+    id: int = Field(ge=0, lt=2**53)
     values: dict[str, Any] = Field(min_length=1, max_length=50)
     gesture: str = Field(max_length=200)
 
 
-class _Do(_Message):
+class _Do(Part):
     type: Literal["do"]
-    id: int
+    id: int = Field(ge=0, lt=2**53)
     action: str = Field(max_length=50)
     arguments: dict[str, Any] = Field(default_factory=dict)
 
 
-_MESSAGES: TypeAdapter[_Pace | _Set | _Do] = TypeAdapter(_Pace | _Set | _Do, config=ConfigDict())
+_MESSAGES: dict[Any, type[_Pace | _Set | _Do]] = {"next": _Pace, "rest": _Pace, "set": _Set, "do": _Do}
 
 
 class LivePage:
@@ -91,7 +94,7 @@ class LivePage:
             await socket.close(1013, "too many browsers")
             return
         await socket.accept()
-        browser = _Browser(self, socket, visitor.owner)
+        browser = _Browser(self, socket, visitor == "owner")
         self.browsers.add(browser)
         if self._closing_link is not None:
             self._closing_link.cancel()
@@ -179,12 +182,15 @@ class _Browser:
 
     async def _take(self, text: str) -> None:
         """Obey a message of the browser, or answer why it is invalid."""
+        data = None
         try:
-            message = _MESSAGES.validate_json(text)
-        except ValidationError as e:
-            error = e.errors(include_url=False, include_input=False)[-1]
-            text = f"{'.'.join(map(str, error['loc'][1:])) or 'message'}: {one_line(error['msg'])}"
-            self._answer("trouble", id_=None, text=printable(text))
+            data = tuples(loads(text))
+            if not isinstance(data, dict) or not isinstance(data.get("type"), str) or data["type"] not in _MESSAGES:
+                raise ValueError(f"type: must be one of {', '.join(_MESSAGES)}")
+            message = validated(Document("", data), _MESSAGES[data["type"]])
+        except (ValueError, ConfigurationError) as e:
+            id_ = data.get("id") if isinstance(data, dict) else None
+            self._refuse(id_ if isinstance(id_, int) else None, e)
             return
         if isinstance(message, _Pace):
             if message.type == "rest" and self._frame is not None:
@@ -206,17 +212,30 @@ class _Browser:
         return task
 
     async def _carry_out(self, message: _Set | _Do) -> None:
+        """Carry out a request, and answer it, at first with `progress` while it takes long."""
+        actions, begun = self._page.actions, time.monotonic()
+        is_set = isinstance(message, _Set)
+        work = asyncio.create_task(
+            actions.set(message.values, message.gesture) if is_set else actions.do(message.action, message.arguments)
+        )
         try:
-            if isinstance(message, _Set):
-                done = await self._page.actions.set(message.values, message.gesture)
-            else:
-                done = await self._page.actions.do(message.action, message.arguments)
-            self._answer("done", message.id, message=done.message, data=dict(done.data))
+            while not (await asyncio.wait([work], timeout=_PROGRESS_INTERVAL_S))[0]:
+                self._answer("progress", message.id, seconds=round(time.monotonic() - begun))
+            done = work.result()
+            self._answer("done", message.id, **({"message": done} if isinstance(done, str) else {"data": done}))
         except SpheremouseError as e:
-            self._answer("trouble", message.id, text=printable(str(e)))
+            self._refuse(message.id, e)
+        except Exception as e:  # else the browser would wait for an answer
+            print(internal_error_text(), file=sys.stderr)
+            self._answer("trouble", message.id, text=internal_error(e))
+        finally:
+            work.cancel()
 
     def _answer(self, type_: str, id_: int | None, **words: Any) -> None:
         self.push(type_, json.dumps({"type": type_, "id": id_, **words}))
+
+    def _refuse(self, id_: int | None, error: Exception) -> None:
+        self._answer("trouble", id_, text=printable("; ".join(str(error).splitlines())))
 
     async def _send_frame(self) -> None:
         """Answer `next` with the next picture, or without one if none comes."""

@@ -343,7 +343,7 @@ def test_recordings_of_the_daemons_folder_are_listed_and_no_other_is_opened(worl
         for name in ("nonsense", "..", str(CLIP), f"../{clip}"):
             for action in ("play", "compare"):
                 assert act(browser, action, name=name)["text"].startswith(f"{name}: ")
-        assert "no time in s" in act(browser, "compare", name=clip, begin="x")["text"]
+        assert "must be a number" in act(browser, "compare", name=clip, begin="x")["text"]
 
 
 def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_them_back(world, page, clip):
@@ -456,10 +456,91 @@ def test_files_are_served_with_a_policy_and_no_other_path_is_opened(alone):
 
 def test_garbage_is_answered_in_one_line_and_the_connection_stays(page):
     with Browser(page) as browser:
-        for garbage in ("", "{", "[]", '{"type":"x"}', '{"type":"set","id":1}', "9" * 90_000, '{"type":"do","id":"a"}'):
+        for garbage in (
+            "",
+            "{",
+            "[]",
+            '{"type":"x"}',
+            '{"type":[]}',
+            '{"type":"set"}',
+            "9" * 90_000,
+            '{"type":"do","id":"a"}',
+        ):
             browser.socket.send(garbage)
             assert "\n" not in browser.until("trouble")["text"]
             assert browser.frame()
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ({"type": "set"}, "values: missing"),
+        ({"type": "set", "values": {}, "gesture": "g"}, "values: "),
+        ({"type": "set", "values": {"motion.scale_x": 2}, "gesture": 1}, "gesture: must be text"),
+        ({"type": "set", "values": {"motion.scale_x": 2}, "gesture": "g", "self": 1}, "self: unknown key"),
+        ({"type": "do"}, "action: missing"),
+        ({"type": "do", "action": "pause", "arguments": []}, "arguments: "),
+        ({"type": "do", "action": "pause", "command": "stop"}, "command: unknown key"),
+        *(
+            ({"type": "do", "action": action, "arguments": {name: 1}}, f"{action}: {name}: unknown key")
+            for action in ("pause", "record", "undo", "play", "compare", "guide", "leave", "stop", "save", "export")
+            for name in ("command", "id", "self", "action", "arguments", "model", "x y")
+        ),
+        ({"type": "do", "action": "replay", "arguments": {"speed": "x"}}, "replay: speed: must be a number"),
+        ({"type": "do", "action": "reset", "arguments": {"keys": 5}}, "reset: keys: must be a list"),
+        ({"type": "do", "action": "reset", "arguments": {"keys": [[]]}}, "reset: keys[0]: must be text"),
+        ({"type": "do", "action": "reset"}, "reset: keys: missing"),
+        ({"type": "do", "action": "play", "arguments": {"name": {}}}, "play: name: must be text"),
+        ({"type": "do", "action": "compare", "arguments": {"name": "x", "begin": True}}, "begin: must be a number"),
+        ({"type": "do", "action": "compare", "arguments": {"name": "x", "end": -1}}, "end: must be at least 0"),
+        ({"type": "do", "action": "guide", "arguments": {"do": "rm"}}, "guide: do: must be 'look'"),
+        ({"type": "do", "action": "guide", "arguments": {"do": "run", "number": True}}, "number: must be a whole"),
+        ({"type": "do", "action": "import", "arguments": {"text": 3}}, "import: text: must be text"),
+        ({"type": "do", "action": "undo", "arguments": {"a": json.loads("[" * 20 + "]" * 20)}}, "nested deeper"),
+    ],
+)  # fmt: skip
+def test_a_request_of_a_wrong_form_is_answered_at_once_in_words(page, message, said):
+    with Browser(page) as browser:
+        begun = time.monotonic()
+        browser.socket.send(json.dumps({"id": 7, **message}))
+        answer = browser.until("trouble")
+        assert (said in answer["text"], "\n" in answer["text"]) == (True, False), answer
+        assert answer["id"] == (None if said == "nested deeper" else 7)
+        assert time.monotonic() - begun < 5.0
+
+
+def test_an_error_of_the_program_is_answered_too(page, monkeypatch, capfd):
+    def fail(*_):
+        raise TypeError("a fault")
+
+    monkeypatch.setattr("spheremouse.view.actions.exported", fail)
+    with Browser(page) as browser:
+        assert "internal error (TypeError: a fault)" in act(browser, "export")["text"]
+    assert "a fault" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("by", ["stop", "leave"])
+def test_a_long_comparison_reports_its_time_and_can_be_ended(page, clip, monkeypatch, by):
+    async def answer(*_, **__):
+        running.set()
+        try:
+            await asyncio.sleep(PATIENCE)
+        finally:
+            ended.set()
+
+    running, ended = threading.Event(), threading.Event()
+    monkeypatch.setattr("spheremouse.view.recordings.child.answer", answer)
+    monkeypatch.setattr(server_module, "_PROGRESS_INTERVAL_S", 0.05)
+    with Browser(page) as browser, Browser(page) as other:
+        browser.until("status", lambda m: m["status"])
+        browser.socket.send(json.dumps({"type": "do", "id": 9, "action": "compare", "arguments": {"name": clip}}))
+        assert browser.until("progress")["id"] == 9
+        assert running.wait(PATIENCE)
+        assert "another comparison is under way" in act(other, "compare", name=clip)["text"]
+        assert not ended.is_set()
+        assert act(other, by)["type"] == "done"
+        assert "was ended" in browser.until("trouble", lambda m: m["id"] == 9)["text"]
+        assert ended.is_set()
 
 
 def test_the_page_outlives_the_daemon_and_a_browser_the_page(world):

@@ -79,10 +79,10 @@ class Client:
         self._received.clear()
         self._forget_memory()
 
-    def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
+    def ask(self, command: str, /, **arguments: Any) -> dict[str, Any]:
         """Return the daemon's reply without `ok`. RefusedError has the daemon's reason; NoDaemonError: none answers."""
         given = {k: v for k, v in arguments.items() if v is not None}
-        reply = self._exchange({"command": command, **given}, _TIMEOUTS_S.get(command, _DEFAULT_TIMEOUT_S))
+        reply = self._exchange({**given, "command": command}, _TIMEOUTS_S.get(command, _DEFAULT_TIMEOUT_S))
         if reply.pop("ok", None) is not True:
             raise RefusedError(printable(str(reply.get("error", "the daemon refuses without a reason"))))
         return reply

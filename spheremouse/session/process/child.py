@@ -25,14 +25,19 @@ async def start(socket: Path | None, *words: str, stderr: int = PIPE) -> Process
     )  # fmt: skip
 
 
-async def answer(socket: Path | None, *words: str, codes: tuple[int, ...] = (0,)) -> dict[str, Any]:
-    """Return the JSON that a command prints. Raises ControlError with its last line if its exit code is another."""
+async def answer(
+    socket: Path | None, *words: str, codes: tuple[int, ...] = (0,), timeout: float | None = _TIMEOUT_S
+) -> dict[str, Any]:
+    """Return the JSON that a command prints. If the caller is cancelled, the command is killed.
+
+    Raises ControlError with its last line if its exit code is another, and if it takes longer than `timeout`, s.
+    """
     process = await start(socket, *words)
     try:
-        async with asyncio.timeout(_TIMEOUT_S):
+        async with asyncio.timeout(timeout):
             out, error = await process.communicate()
     except TimeoutError:
-        raise ControlError(f"spheremouse {words[0]}: no answer within {_TIMEOUT_S:g} s") from None
+        raise ControlError(f"spheremouse {words[0]}: no answer within {timeout:g} s") from None
     finally:
         if process.returncode is None:
             process.kill()

@@ -4,7 +4,7 @@
 /** @typedef {import("./types.js").Done} Done */
 
 const RETRY_MS = [100, 250, 500];
-const ANSWER_MS = 65000; // the daemon answers within 60 s
+const ANSWER_MS = 20000; // the page process reports progress every 2 s
 const PICTURE_MS = 2000; // the page process answers `next` within 0.5 s
 
 /**
@@ -16,7 +16,7 @@ const PICTURE_MS = 2000; // the page process answers `next` within 0.5 s
 
 export class Link {
   /** @type {WebSocket | null} */ #socket = null;
-  /** @type {Map<number, {resolve: (done: Done) => void, reject: (error: Error) => void, timer: number}>} */
+  /** @type {Map<number, {resolve: (done: Done) => void, reject: (error: Error) => void, progress: (seconds: number) => void, timer: number}>} */
   #requests = new Map();
   #id = 0;
   #attempts = 0;
@@ -49,17 +49,17 @@ export class Link {
    * Send a request. Rejects with one line for people if it was refused.
    * @param {"set" | "do"} type
    * @param {object} body
+   * @param {(seconds: number) => void} progress called every 2 s with the time so far
    * @returns {Promise<Done>}
    */
-  request(type, body) {
+  request(type, body, progress = () => {}) {
     return new Promise((resolve, reject) => {
       const id = ++this.#id;
       if (!this.#send({ type, id, ...body })) {
         reject(new Error("The page process does not answer. Nothing was changed."));
         return;
       }
-      const timer = setTimeout(() => this.#answer(id)?.reject(new Error("No answer within 65 s.")), ANSWER_MS);
-      this.#requests.set(id, { resolve, reject, timer });
+      this.#requests.set(id, { resolve, reject, progress, timer: this.#deadline(id) });
     });
   }
 
@@ -81,6 +81,11 @@ export class Link {
   }
 
   /** @param {number} id */
+  #deadline(id) {
+    return setTimeout(() => this.#answer(id)?.reject(new Error("The page process does not answer.")), ANSWER_MS);
+  }
+
+  /** @param {number} id */
   #answer(id) {
     const request = this.#requests.get(id);
     if (request) clearTimeout(request.timer);
@@ -90,6 +95,14 @@ export class Link {
 
   /** @param {any} message */
   #text(message) {
+    if (message.type === "progress") {
+      const waiting = this.#requests.get(message.id);
+      if (!waiting) return;
+      clearTimeout(waiting.timer);
+      waiting.timer = this.#deadline(message.id);
+      waiting.progress(message.seconds);
+      return;
+    }
     const request = typeof message.id === "number" ? this.#answer(message.id) : undefined;
     if (request && message.type === "done") request.resolve({ message: message.message ?? "", data: message.data ?? {} });
     else if (request) request.reject(new Error(message.text ?? "refused without a reason"));

@@ -53,9 +53,9 @@ const recordings = new RecordingsPanel(perform);
  * Carry out an action and show its result. Returns null if it was refused.
  * @type {import("./tune.js").Act}
  */
-async function perform(action, words = {}) {
+async function perform(action, words = {}, progress = undefined) {
   try {
-    const done = await link.request("do", { action, arguments: words });
+    const done = await link.request("do", { action, arguments: words }, progress);
     showMessage(done.message.startsWith("/") ? `Written: ${done.message}` : done.message, false);
     return done;
   } catch (error) {

@@ -33,6 +33,7 @@ export class RecordingsPanel {
   #begin = el("input", { type: "number", id: "replay-begin", min: 0, step: 0.1, value: 0 });
   #end = el("input", { type: "number", id: "replay-end", min: 0, step: 0.1, placeholder: "end" });
   #evaluate = el("button", { type: "button", id: "compare" }, "Compare saved and present settings");
+  #stop = el("button", { type: "button", id: "stop-compare", hidden: true, click: () => void this.#perform("stop") }, "Stop");
   #results = el("tbody", {});
   #table = table("Comparison", ["On these seconds", "Saved", "Present"], this.#results);
   #player;
@@ -59,7 +60,7 @@ export class RecordingsPanel {
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "recording" }, "Recording"), this.#list, this.#play, this.#leave), this.#note, this.#player,
       el("div", { class: "row" }, el("label", { for: "replay-begin" }, "Seconds from"), this.#begin, el("label", { for: "replay-end" }, "to"), this.#end,
-        this.#evaluate),
+        this.#evaluate, this.#stop),
       el("p", { class: "help" }, "While a recording plays, change settings in Tune or Expert. The comparison tracks these seconds with the saved and with the present settings."),
       this.#table);
     this.#table.hidden = true;
@@ -105,14 +106,19 @@ export class RecordingsPanel {
   async #run(/** @type {HTMLButtonElement} */ button, /** @type {string} */ action, /** @type {string} */ note) {
     button.disabled = true;
     setText(this.#note, note);
-    const done = await this.#perform(action, { name: this.#list.value, ...(action === "compare" ? this.#section() : {}) });
+    const words = action === "leave" ? {} : { name: this.#list.value, ...(action === "compare" ? this.#section() : {}) };
+    const done = await this.#perform(action, words, (seconds) => setText(this.#note, `${note} ${seconds} s so far.`.trim()));
     button.disabled = false;
     setText(this.#note, "");
     return done;
   }
 
   async #compare() {
-    const done = await this.#run(this.#evaluate, "compare", "Both settings are tracked. This takes some seconds.");
+    const whole = this.#all.get(this.#list.value)?.wand ? " Of balls in a hand, this is the whole recording." : "";
+    this.#stop.hidden = false;
+    const done = await this.#run(this.#evaluate, "compare", `Both settings are tracked.${whole}`);
+    if (document.activeElement === this.#stop) this.#evaluate.focus();
+    this.#stop.hidden = true;
     if (!done) return;
     const reports = [done.data.before, done.data.after];
     this.#results.replaceChildren(...ROWS.flatMap(([label, unit, read, best]) => {

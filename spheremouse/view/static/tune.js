@@ -6,7 +6,7 @@ import { control, title } from "./controls.js";
 
 /** @typedef {import("./types.js").Setting} Setting */
 /** @typedef {import("./settings.js").Settings} Settings */
-/** @typedef {(action: string, words?: Record<string, any>) => Promise<import("./types.js").Done | null>} Act */
+/** @typedef {(action: string, words?: Record<string, any>, progress?: (seconds: number) => void) => Promise<import("./types.js").Done | null>} Act */
 
 /** Keys of the panel Tune in its order: settings that an operator changes while looking at the ball. */
 const TUNE = [
