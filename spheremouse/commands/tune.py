@@ -17,7 +17,9 @@ _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 def tune(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", show_default=False, help="Folder of a recording.")],
-    budget: Annotated[str, typer.Option(metavar="TIME", help="Time of the search: 30s, 5min, 1h.")] = "5min",
+    budget: Annotated[
+        str, typer.Option(metavar="TIME", help="Time of search and test together: 30s, 5min, 1h.")
+    ] = "5min",
     trials: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="At most this number of trials, to repeat a search exactly.")
     ] = None,
@@ -37,7 +39,9 @@ def tune(
     The search minimises a cost. With truth, that is the errors of attitude and angular velocity. Without truth, it is
     inconsistent innovations, unused discs and a rough angular velocity. The search uses the first half of the
     recording. If the cost of the second half is not significantly smaller, the command reports that and writes nothing.
-    Ctrl-C ends the search and tests the best settings so far. The command needs the extra `tune`.
+    The budget holds within the time of one trial: the search ends when the rest is needed for that test, and for one
+    run without each new setting. Ctrl-C ends the search and tests the best settings so far. The command needs the extra
+    `tune`.
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import progress_bar
@@ -62,7 +66,9 @@ def tune(
         print(f"nothing changed: {_reason(found)}")
         return
     for key, value in found.values.items():
-        print(f"{key}={config.to_yaml(value)}  saves {100 * found.gains[key]:.0f} % of the cost")
+        gain = found.gains.get(key)
+        saved = "no time was left to test it alone" if gain is None else f"saves {100 * gain:.0f} % of the cost"
+        print(f"{key}={config.to_yaml(value)}  {saved}")
     print(f"on the second half of the recording the cost is {100 * found.held_out.gain:.0f} % smaller")
     if out is not None:
         write_atomically(out, config.dump(changed(settings, found.values), Configuration()))

@@ -42,6 +42,8 @@ _KINDS = ("number", "integer", "choice")
 _MIN_SECONDS = 4.0  # of a recording: each half needs three blocks and the start of the tracker
 _MIN_SAVED_FRACTION = 0.01  # part of the loss; a setting that saves less goes back to its present value
 _MAX_LOSS_RATIO = 3.0  # times the least loss: a trial that must exceed it ends early
+_TEST_RUNS = 2  # of the second half: with the present settings and with the best ones
+_MIN_RUNS = 20  # for which a search is advised
 _RANDOM_TRIALS = 8  # random trials before the sampler models the loss
 
 
@@ -70,9 +72,11 @@ class Objective:
         """
         self._recording, self._present, self._span, self._rig = recording, present, (first, end), recording.rig
         self._usual, self._scale = 1.0, np.ones(3)
-        run = self._run({})
+        self.run_s = 0.0  # s, of the slowest run so far
+        self._complete: dict[tuple[Any, ...], Run | None] = {}  # runs to the last frame, by `_key` of the settings
+        run = self._complete_run({})
         if run is None or not len(run.tracked):
-            run = self._run(_defaults(present))
+            run = self._complete_run(_defaults(present))
         if run is None:
             self._scale = np.full(2 if recording.truth is not None else 3, np.inf)
             return
@@ -94,7 +98,8 @@ class Objective:
     def losses(self, values: Values, most: float = math.inf) -> Array:
         """Return the loss of each frame, (n,), with some settings changed; LIMIT for all if its mean exceeds `most`."""
         first, end = self._span
-        run = self._run(values, most * (end - first) / LIMIT)
+        known = _key(values) in self._complete
+        run = self._complete_run(values) if known else self._run(values, most * (end - first) / LIMIT)
         if run is None:
             return np.full(end - first, LIMIT)
         return losses(self._terms(run), self._scale, missing=end - first - len(run.frame))
@@ -103,21 +108,33 @@ class Objective:
         truth = self._recording.truth
         return innovation_terms(run, self._usual) if truth is None else error_terms(run, truth)
 
+    def _complete_run(self, values: Values) -> Run | None:
+        """Return the run to the last frame. The same settings are tracked once."""
+        if _key(values) not in self._complete:
+            self._complete[_key(values)] = self._run(values)
+        return self._complete[_key(values)]
+
     def _run(self, values: Values, most_untracked: float = math.inf) -> Run | None:
         """Return the run; None if the camera's pose is not found, or if more frames are not tracked."""
-        settings, history = changed(self._present, values), History()
+        settings, history, begun = changed(self._present, values), History(), time.monotonic()
         try:
             start = initialise(islice(numbered_frames(self._recording), *self._span), self._rig, settings)
+            self._rig = replace(self._rig, pose=start.pose)  # no searched setting changes it
+            untracked = 0
+            for epoch in track(start.frames, build(self._rig, start.pose, settings)):
+                history.add(epoch)
+                untracked += epoch.state.status is not Status.TRACKING
+                if untracked > most_untracked:
+                    return None
         except PoseError:
             return None
-        self._rig = replace(self._rig, pose=start.pose)  # no searched setting changes it
-        untracked = 0
-        for epoch in track(start.frames, build(self._rig, start.pose, settings)):
-            history.add(epoch)
-            untracked += epoch.state.status is not Status.TRACKING
-            if untracked > most_untracked:
-                return None
+        finally:
+            self.run_s = max(self.run_s, time.monotonic() - begun)
         return history.run() if history.epochs else None
+
+
+def _key(values: Values) -> tuple[Any, ...]:
+    return tuple(sorted(values.items()))
 
 
 def changed(settings: Configuration, values: Values) -> Configuration:
@@ -145,13 +162,16 @@ def tune(
     seed: int = 1,
     progress: Callable[[int, float], None] = lambda *_: None,
 ) -> Tuning:
-    """Search for `seconds`, at most `trials` times, and test the result on the second half of the recording.
+    """Search at most `trials` times, and test the result on the second half of the recording, within `seconds`.
 
-    `progress` gets the number of trials and the least loss over that of the present settings. An interrupt
-    (KeyboardInterrupt) ends the search, and the best trial so far is tested. The same seed and number of trials give
-    the same result. Raises ConfigurationError without Optuna, for another tracker, and for a recording that is too
-    short.
+    The search ends when the rest of the time is needed for two runs of the test, and one for each setting of the best
+    trial, which shows its gain. Settings for which no time is left stay, and have no gain. `progress` gets the number
+    of trials and the least loss over that of the present settings. An interrupt (KeyboardInterrupt) ends the search,
+    and the best trial so far is tested. The same seed and number of trials give the same result if the time suffices.
+    Raises ConfigurationError without Optuna, for another tracker, for a recording that is too short, and if the time
+    does not suffice for one trial.
     """
+    end = time.monotonic() + seconds
     detector = detector_of(recording.rig, settings)
     if not detector.sees_discs:
         raise ConfigurationError(
@@ -165,25 +185,34 @@ def tune(
         raise ConfigurationError(f"{recording.path}: is too short", f"give a recording of {_MIN_SECONDS:g} s or more")
     middle = recording.frames // 2
     objective = Objective(recording, settings, 0, middle)
+
+    def fits(runs: int) -> bool:
+        return time.monotonic() + runs * objective.run_s <= end
+
+    if not fits(1 + _TEST_RUNS):
+        problem = f"--budget: {seconds:.0f} s are too short, since half of this recording takes {objective.run_s:.0f} s"
+        raise ConfigurationError(problem, f"give at least {_MIN_RUNS * objective.run_s:.0f}s")
     present = float(objective.present.mean())
     best: Values = {}
     least, count = present, 0
     try:
-        for values, loss in _search(objective, settings, seconds, trials, seed):
+        for values, loss in _search(objective, settings, trials, seed):
             count += 1
             if loss < least:
                 best, least = values, loss
             progress(count, least / present)
+            if not fits(1 + len(best) + _TEST_RUNS):
+                break
     except KeyboardInterrupt:
         pass
-    best, gains = _pruned(objective, best)
+    best, gains = _pruned(objective, best, least, fits)
     held_out = Objective(recording, settings, middle, recording.frames)
     other = held_out.losses(best) if best else held_out.present
     return Tuning(best, gains, compare(held_out.present, other, recording.fps), count)
 
 
 def _search(
-    objective: Objective, settings: Configuration, seconds: float, trials: int | None, seed: int
+    objective: Objective, settings: Configuration, trials: int | None, seed: int
 ) -> Iterator[tuple[Values, float]]:
     """Yield the settings and the loss of each trial (tree-structured Parzen estimator; Bergstra et al. 2011).
 
@@ -195,14 +224,14 @@ def _search(
         raise ConfigurationError("tune: needs the package optuna", "pip install 'spheremouse[tune]'") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=_RANDOM_TRIALS))
-    duration, end = objective.seconds, time.monotonic() + seconds
+    duration = objective.seconds
     described, least = tunable(settings), float(objective.present.mean())
     count, defaults = 0, _defaults(settings)
     if defaults:
         loss = float(objective.losses(defaults).mean())
         least, count = min(least, loss), 1
         yield defaults, loss
-    while time.monotonic() < end and (trials is None or count < trials):
+    while trials is None or count < trials:
         trial = study.ask()
         values = {d["key"]: _suggested(trial, d, duration) for d in described}
         values = {d["key"]: values[d["key"]] for d in described if values[d["key"]] != d["value"]}
@@ -226,11 +255,18 @@ def _suggested(trial: Any, setting: dict[str, Any], duration: float) -> Any:
     return min(max(value, least), 0.99 * most)  # a bound may be excluded
 
 
-def _pruned(objective: Objective, best: Values) -> tuple[Values, dict[str, float]]:
-    """Return the settings that matter, and the part of the loss that each saves. Others go back."""
+def _pruned(
+    objective: Objective, best: Values, loss: float, fits: Callable[[int], bool]
+) -> tuple[Values, dict[str, float]]:
+    """Return the settings that matter, and the part of the loss that each saves. Others go back.
+
+    `loss` is that of the best settings. `fits` returns whether the time suffices for a number of runs. Settings for
+    which it does not stay, and have no gain.
+    """
     gains: dict[str, float] = {}
-    loss = float(objective.losses(best).mean()) if best else 0.0
     for key in list(best):
+        if not fits(1 + _TEST_RUNS):
+            break
         remaining = {k: v for k, v in best.items() if k != key}
         lost = float((objective.losses(remaining) if remaining else objective.present).mean())
         gain = 1.0 - loss / lost if lost > 0.0 else 0.0

@@ -1,8 +1,10 @@
 """The search comes back from a wrong setting, and leaves good ones alone."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from invoking import fail, succeed
@@ -79,6 +81,54 @@ def test_an_interrupt_ends_the_search_with_what_it_has_and_a_seed_repeats_it(fil
     second = tune(open_dataset(film), settings, 300.0, trials=2, seed=2)
     assert (first.trials, first.better) == (2, True)
     assert first == second
+
+
+class _Timed:
+    """An objective on a clock of its own. Each run takes 10 s; `better` is the part of trials that are better."""
+
+    now, better = 0.0, 0.0
+
+    def __init__(self, recording, present, first, end):
+        self.run_s, self.seconds, self._n, self._trials = 10.0, 2.0, end - first, 0
+        type(self).now += self.run_s
+        self.present = np.ones(self._n)
+
+    def losses(self, values, most=math.inf):
+        type(self).now += self.run_s
+        self._trials += 1
+        return np.full(self._n, 1.0 - 0.3 * self.better - 1e-3 * self._trials * self.better)
+
+
+@pytest.mark.parametrize("better", [0.0, 1.0])
+@pytest.mark.parametrize("seconds", [60.0, 180.0, 600.0])
+def test_the_budget_holds_within_one_trial(film, monkeypatch, seconds, better):
+    monkeypatch.setattr(_Timed, "now", 0.0)
+    monkeypatch.setattr(_Timed, "better", better)
+    monkeypatch.setattr("spheremouse.session.tune.Objective", _Timed)
+    monkeypatch.setattr("spheremouse.session.tune.time.monotonic", lambda: _Timed.now)
+    found = tune(open_dataset(film), Configuration(), seconds)
+    assert found.better == (better > 0)
+    assert seconds - 20.0 <= _Timed.now <= seconds + 10.0  # without a better trial, the test is a run shorter
+
+
+def test_a_budget_in_which_no_trial_can_be_tested_is_refused(film, monkeypatch):
+    monkeypatch.setattr("spheremouse.session.tune.Objective", _Timed)
+    monkeypatch.setattr("spheremouse.session.tune.time.monotonic", lambda: _Timed.now)
+    with pytest.raises(ConfigurationError, match="takes 10 s; give at least 200s"):
+        tune(open_dataset(film), Configuration(), 30.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("settings", "runs"), [({"discs.polarity": "light"}, 2), ({}, 1)])
+def test_present_settings_and_defaults_are_tracked_once(film, monkeypatch, settings, runs):
+    """Also if the former track nothing, so that the defaults give the scales."""
+    counted = []
+    monkeypatch.setattr("spheremouse.session.tune.track", lambda *_: counted.append(1) or iter(()))
+    objective = Objective(open_dataset(film), changed(Configuration(), settings), 0, 60)
+    for values in ({}, dict.fromkeys(settings, "auto")):
+        objective.losses(values)
+    assert objective.present.mean() > 0.0
+    assert len(counted) == runs
 
 
 def test_filter_discs_and_loss_are_searched_within_their_bounds():
