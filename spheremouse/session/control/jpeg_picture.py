@@ -1,6 +1,7 @@
 """Live pictures as JPEG: whole, or with all but ball and targets black."""
 
-from functools import cached_property
+import math
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ _AROUND_TARGET = 2.0  # radii of a target that a masked picture shows
 
 
 Image = NDArray[np.uint8]
+_Outline = tuple[tuple[float, ...], ...]  # of x, y in px
+_Square = tuple[tuple[int, int], tuple[int, int]]
 
 
 def encoded(image: Image) -> bytes:
@@ -50,18 +53,34 @@ class JpegPicture:
 
 
 def mask(image: Image, annotations: dict[str, Any]) -> Image:
-    """Return an image, (h, w, c), that is black but for the ball and the targets."""
-    height, width = image.shape[:2]
+    """Return an image, (h, w, c), that is black but for the ball and the targets: the given one, if it is writable."""
+    height, width, channels = image.shape
+    outline = tuple(map(tuple, annotations.get("outline") or ()))
+    squares = tuple(map(_square, annotations.get("targets") or ()))
+    seen = _seen(outline, squares, height, width, channels)
+    black = image if image.flags.writeable else np.empty_like(image)
+    np.multiply(image.reshape(height, -1), seen, out=black.reshape(height, -1))
+    return black
+
+
+@lru_cache(maxsize=1)  # outline and targets change with the camera's pose alone
+def _seen(outline: _Outline, squares: tuple[_Square, ...], height: int, width: int, channels: int) -> Image:
+    """Return 1 for the values of an image inside the outline or a square, else 0, (height, width * channels)."""
     seen = np.zeros((height, width), bool)
-    outline = np.array(annotations.get("outline") or [], dtype=float).reshape(-1, 2)
     if len(outline) > 2:
-        seen = _inside(outline, height, width)
-    for target in annotations.get("targets") or []:
-        radius = _AROUND_TARGET * _radius(target["shape"])
-        x, y = target["x"], target["y"]
-        rows = slice(max(0, round(y - radius)), max(0, round(y + radius) + 1))
-        seen[rows, max(0, round(x - radius)) : max(0, round(x + radius) + 1)] = True
-    return np.where(seen[:, :, None], image, np.uint8(0))
+        seen = _inside(np.array(outline), height, width)
+    for rows, columns in squares:
+        seen[slice(*rows), slice(*columns)] = True
+    return np.repeat(seen.view(np.uint8), channels, axis=1)
+
+
+def _square(target: dict[str, Any]) -> _Square:
+    """Return the first and the end of the rows, and of the columns, around a target."""
+    xx, xy, yy = target["shape"]  # of an ellipse, px²
+    # The larger eigenvalue is the square of the semi-major axis.
+    radius = _AROUND_TARGET * math.sqrt(max(0.0, 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)))
+    y, x = ((max(0, round(at - radius)), max(0, round(at + radius) + 1)) for at in (target["y"], target["x"]))
+    return y, x
 
 
 def _inside(outline: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
@@ -73,12 +92,6 @@ def _inside(outline: NDArray[np.float64], height: int, width: int) -> NDArray[np
     left, right = np.sort([np.interp(rows, y, x, np.nan, np.nan) for x, y in (side.T for side in sides)], axis=0)
     columns = np.arange(width)
     return (left[:, None] <= columns) & (columns <= right[:, None])
-
-
-def _radius(shape: list[float]) -> float:
-    """Return the semi-major axis, px, of an ellipse [xx, xy, yy] px²."""
-    xx, xy, yy = shape
-    return float(np.sqrt(np.linalg.eigvalsh([[xx, xy], [xy, yy]])[-1].clip(0.0)))
 
 
 def _planes(picture: LivePicture) -> tuple[Image, Image, Image]:

@@ -214,6 +214,18 @@ def test_a_masked_picture_shows_ball_and_targets_alone(format_):
     assert seen.max() < 60
 
 
+def test_a_mask_follows_the_ball_and_the_targets():
+    """Successive pictures share the mask while neither has moved."""
+    target = {"x": 20.0, "y": 90.0, "shape": [25.0, 0.0, 9.0]}
+    ball = [[40, 40], [80, 40], [80, 80], [40, 80]]
+    moved = [[x + 60, y] for x, y in ball]
+    for outline, x in ((ball, 20.0), (ball, 20.0), (moved, 20.0), (moved, 140.0), (ball, 20.0)):
+        marks = {"outline": outline, "targets": [{**target, "x": x}]}
+        keep = mask(np.ones((HEIGHT, WIDTH, 3), np.uint8), marks).all(axis=2)
+        assert [keep[60, 50], keep[60, 130]] == [outline is ball, outline is moved]
+        assert [keep[90, 20], keep[90, 140]] == [x == 20.0, x == 140.0]
+
+
 def test_without_a_known_pose_a_masked_picture_is_black():
     seen = simplejpeg.decode_jpeg(JpegPicture(picture("bgr", scene().tobytes())).masked)
     assert seen.max() < 10
