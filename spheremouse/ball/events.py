@@ -108,6 +108,13 @@ class DiscColours(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class AxisUnseen(Event):
+    """The pattern shows no rotation about one axis, or shows it again."""
+
+    ended: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class CameraMoved(Event):
     """The camera has a new pose."""
 

@@ -86,12 +86,13 @@ _Picture = tuple[_Narrow, _Narrow]
 
 def align_texture(
     samples: _Samples, picture: _Picture, R: _Float, noise: float, place: float, pixel: float,
-    anchor_of: _Index, anchors: int,
-) -> tuple[_Float, float, float, int, bool, _Float, _Float, _Float]:  # fmt: skip
+    anchor_of: _Index, across: _Float,
+) -> tuple[_Float, float, float, int, bool, _Float, _Float, _Float, _Float, float]:  # fmt: skip
     """Return the fields of `Alignment` near an attitude R, (3, 3).
 
     A residual has the variance of `noise` and of contours displaced by `place` rad. A pixel shows `pixel` rad of the
-    ball. `anchor_of`, (6, n / 8, n / 8), is the anchor of each tile.
+    ball. `anchor_of`, (6, n / 8, n / 8), is the anchor of each tile, and `across`, (k, 3, 3), the mean projection
+    across the tiles of each anchor.
     """
 
 def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, most: int) -> _Float:
@@ -136,15 +137,16 @@ def weigh_static(
 
 # spheremouse/ball/texture/anchors.cpp
 def anchor_points(
-    anchors: _Float, R: _Float, information: _Float, gradient: _Float, errors: tuple[float, float, float],
-    facing: tuple[_Float, float], view: tuple[object, ...],
+    anchors: _Float, R: _Float, information: _Float, gradient: _Float,
+    errors: tuple[float, float, float, float], known: _Float, facing: tuple[_Float, float], view: tuple[object, ...],
 ) -> tuple[_Float, _Float, _Index]:  # fmt: skip
     """Return places, (n, 2) px, covariances, (n, 2, 2) px², and indices, (n,), of the anchors that a frame shows.
 
     They are those of `anchors`, (k, 3) ball, at the attitude R, (3, 3), with the information, (k, 3, 3), and the
     gradient, (k, 3), of the pixels around each. `errors`, rad, are the largest standard deviation of a place, that of
-    a place relative to the whole, and that of errors that the pixels share. `facing` has the camera's direction, (3,),
-    and the least cosine with it.
+    a place relative to the whole, that of errors that the pixels share, and that of the whole by motion about axes that
+    no pixel shows. `known`, (3, 3), projects to the other axes. `facing` has the camera's direction, (3,), and the
+    least cosine with it.
     """
 
 # spheremouse/ball/texture/chart.cpp

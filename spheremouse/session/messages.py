@@ -18,6 +18,7 @@ from spheremouse.tracker import Event
 _Ball = (
     events.Found
     | events.Turned
+    | events.AxisUnseen
     | events.Recognised
     | BallLost
     | events.MotionWithheld
@@ -153,6 +154,13 @@ def sentence(event: Event, words: Words) -> str:
             )
         case events.DiscColours(weights):
             return _in_colours(weights)
+        case events.AxisUnseen(ended=True):
+            return "the pattern shows turns about all axes again"
+        case events.AxisUnseen():
+            return (
+                "the pattern shows no turn about one axis, as stripes do, so motion about it is not measured: add "
+                "spots of many sizes"
+            )
         case events.CameraMoved(path, turn, asked):
             prefix = "" if asked else "the camera was moved: "
             return f"{prefix}new pose ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"

@@ -38,6 +38,11 @@ SENTENCES = {
     events.WrongSize(-0.0164): (
         "the ball looks 1.6 % smaller than the rig has it: measure its radius and place again, or calibrate"
     ),
+    events.AxisUnseen(): (
+        "the pattern shows no turn about one axis, as stripes do, so motion about it is not measured: add spots of "
+        "many sizes"
+    ),
+    events.AxisUnseen(ended=True): "the pattern shows turns about all axes again",
     events.DiscColours((0.114, 0.587, 0.299)): "the discs are darker than the ball",
     events.DiscColours((-0.114, -0.587, -0.299)): "the discs are lighter than the ball",
     events.DiscColours((-0.5, 0.0, 0.5)): (

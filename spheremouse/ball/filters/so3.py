@@ -23,6 +23,7 @@ from spheremouse.ball.filters.so3_motion import (
 )
 from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import (
+    DWELL_S,
     PERSISTENCE_S,
     Activity,
     So3Settings,
@@ -41,7 +42,7 @@ from spheremouse.ball.filters.so3_state import (
 )
 from spheremouse.ball.points import Measurement, SpherePoints
 from spheremouse.geometry.matching import are_among, assign, suppress
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
 
@@ -158,6 +159,34 @@ class So3Filter:
         growth = np.array([[duration**2 / 3.0, 0.5 * duration], [0.5 * duration, 1.0]])  # of turn and rate
         joint[:6, :6] += variance * np.kron(growth, np.outer(axis, axis))
         return replace(state, joint=joint)
+
+    def without_unseen_axes(self, state: So3State, predicted: So3State, seen: Array) -> So3State:
+        """Return the update of `predicted` so that it takes nothing from motion about axes that the frame did not show.
+
+        `seen` (3, 3) projects vectors in `obj` to the other axes. The components of attitude, rate and acceleration
+        about unseen axes are considered, not estimated (Schmidt 1966). Rate and acceleration tend to those of an
+        unknown player (Singer 1970).
+        """
+        unseen, joint = np.eye(3) - seen, state.joint.copy()
+        every, usual = np.kron(np.eye(3), unseen), usual_acceleration(self.settings)
+        before = predicted.joint[:KINEMATIC_DIM, :KINEMATIC_DIM] + self._added_noise(
+            predicted, self._expected(predicted)
+        )
+        taken, axes = np.linalg.eigh(every @ (before - joint[:KINEMATIC_DIM, :KINEMATIC_DIM]) @ every)
+        joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += axes * np.maximum(taken, 0.0) @ axes.T  # a step at a level adds some
+        kept = np.exp(-predicted.interval / np.array([DWELL_S, PERSISTENCE_S]))  # of rate and acceleration
+        fade = np.eye(KINEMATIC_DIM)
+        dx = np.zeros(len(joint))
+        dx[:3] = unseen @ rotation_between(state.attitude, predicted.attitude)
+        for k, (part, sigma) in enumerate(zip(kept, (self.settings.start_rate_sigma, usual), strict=True)):
+            at = slice(3 * k + 3, 3 * k + 6)
+            fade[at, at] -= (1.0 - part) * unseen
+            joint[at, at] += (part**-2 - 1.0) * sigma**2 * unseen
+        dx[3:6] = unseen @ (kept[0] * predicted.rate - state.rate)
+        dx[6:9] = unseen @ (kept[1] * predicted.acceleration - state.acceleration)
+        joint[:KINEMATIC_DIM] = fade @ joint[:KINEMATIC_DIM]
+        joint[:, :KINEMATIC_DIM] = joint[:, :KINEMATIC_DIM] @ fade.T
+        return inject(state, dx, joint, state.weights, state.manoeuvre_level, state.used, state.nis)
 
     def is_beyond_a_tape(self, state: So3State) -> bool:
         """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
@@ -425,9 +454,9 @@ class So3Filter:
 
 
 def relocate(
-    state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float, rate: Array | None = None
+    state: So3State, attitude: Array, covariance: Array, settings: So3Settings, stamp: float, rate: Array | None = None
 ) -> So3State:
-    """Return the map with a new attitude of `sigma` rad per axis, at `stamp`, for an update.
+    """Return the map with a new attitude of `covariance` (3, 3) rad², at `stamp`, for an update.
 
     `rate` (3,) rad/s is the expected rate, to within a sudden change by a hand; None: unknown.
     Attitude and map become uncorrelated, because the new attitude does not depend on the history of the map.
@@ -435,7 +464,7 @@ def relocate(
     state = without_candidates(state)  # their places depend on the attitude before
     joint = state.joint.copy()
     joint[:KINEMATIC_DIM] = joint[:, :KINEMATIC_DIM] = 0.0
-    joint[:3, :3] = sigma**2 * np.eye(3)
+    joint[:3, :3] = covariance
     spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
     joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
     joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(settings) ** 2 * np.eye(3)

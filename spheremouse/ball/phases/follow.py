@@ -224,7 +224,7 @@ def recognised_attitude(
     rate = None
     if state.status is Status.TRACKING and 0.0 < gap <= tracker.settings.loss.lost_after:
         rate = rotation_between(state.reported_attitude, known.rotation) / gap
-    located = relocate(state.filter, known.rotation, IDENTIFY_SIGMA, tracker.settings.so3, stamp, rate)
+    located = relocate(state.filter, known.rotation, IDENTIFY_SIGMA**2 * np.eye(3), tracker.settings.so3, stamp, rate)
     return tracker.filter.update(located, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
 
 

@@ -110,7 +110,9 @@ def _where_it_was(
     add up. Returns None if the discs do not confirm the attitude.
     """
     filter_ = tracker.filter
-    placed = relocate(state.filter, state.reported_attitude, IDENTIFY_SIGMA, tracker.settings.so3, stamp, np.zeros(3))
+    placed = relocate(
+        state.filter, state.reported_attitude, IDENTIFY_SIGMA**2 * np.eye(3), tracker.settings.so3, stamp, np.zeros(3)
+    )
     placed.joint[3:6, 3:6] = RESTS**2 * np.eye(3)
     filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
     seen = filtered.known_seen

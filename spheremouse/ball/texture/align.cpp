@@ -21,6 +21,7 @@ constexpr size_t FEW = 2000;    // samples of which some show the way
 constexpr size_t MEDIAN_OF = 2000;  // residuals: their scale has a standard deviation of 2 %
 constexpr float FAR = 3.8f;         // standard deviations: 95 % efficiency for normal errors
 constexpr int MOST_ANCHORS = 1 << 12;
+constexpr float SMOOTH = 0.06f;  // variance of a slope by noise over that of two pixels: means of pixels are smooth
 
 /// The residuals' model.
 struct Errors {
@@ -45,6 +46,7 @@ class Residuals {
     std::vector<float> z, value, contrast, variance;
     std::vector<float> square;            // z² / variance
     std::vector<float> by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
+    std::vector<float> feigned;           // variance of these by errors of the picture, per axis across the view
     std::vector<float> share, weight;     // of Geman and McClure's: 0 to 1; by variance
     std::vector<float> mild;              // weight by the root of the share: for the correlation
     std::vector<int> tile;                // of the picture
@@ -61,7 +63,8 @@ class Residuals {
 void Residuals::make_room(size_t n) {
     if (tile.size() >= n) return;
     tile.resize(n);
-    for (auto* column : {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &share, &weight, &mild})
+    for (auto* column :
+         {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &feigned, &share, &weight, &mild})
         column->resize(n);
 }
 
@@ -69,11 +72,13 @@ void Residuals::make_room(size_t n) {
 WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors& errors) {
     const float noise = errors.noise * errors.noise, place = errors.place * errors.place,
                 least = noise / (errors.angle * errors.angle);
-    float variances[Look::MOST], residuals[Look::MOST], squares[Look::MOST];
+    const float bent = 2.0f * place / (errors.angle * errors.angle);  // slopes along a contour, by errors of its places
+    float variances[Look::MOST], residuals[Look::MOST], squares[Look::MOST], slope_errors[Look::MOST];
     int counts[Look::MOST];
     for (size_t i = 0; i < seen.size; i++) {
         const float slope = seen.by_x[i] * seen.by_x[i] + seen.by_y[i] * seen.by_y[i] + seen.by_z[i] * seen.by_z[i];
         variances[i] = noise + place * (1.0f + YOUNG / seen.weight[i]) * slope;
+        slope_errors[i] = SMOOTH * least / seen.weight[i] + bent * slope;
         residuals[i] = contrasts[i] - seen.value[i];
         squares[i] = residuals[i] * residuals[i] / variances[i];
         counts[i] = (seen.weight[i] >= LEAST_WEIGHT) & (slope > least);
@@ -83,6 +88,7 @@ WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors&
         z[n] = residuals[i], value[n] = seen.value[i], contrast[n] = contrasts[i];
         variance[n] = variances[i], square[n] = squares[i];
         by_x[n] = seen.by_x[i], by_y[n] = seen.by_y[i], by_z[n] = seen.by_z[i];
+        feigned[n] = slope_errors[i];
         tile[n] = seen.tile[i];
         n += size_t(counts[i]);
     }
@@ -131,6 +137,7 @@ struct Sums {
     }
     Vector<3> g() const { return {sum[6], sum[7], sum[8]}; }
     double count() const { return sum[9]; }
+    double feigned() const { return sum[13]; }
     float correlation() const { return float(sum[11] / std::sqrt(std::max(sum[10] * sum[12], 1e-300))); }
 };
 
@@ -139,18 +146,42 @@ WIDE void add(const Residuals& r, const int64_t* anchor_of, Sums* by_anchor) {
     for (size_t i = 0; i < r.size(); i++) {
         const float w = r.weight[i], x = w * r.by_x[i], y = w * r.by_y[i], z = w * r.by_z[i];
         const float c = r.mild[i] * r.contrast[i], v = r.mild[i] * r.value[i];
-        const float terms[16] = {x * r.by_x[i],     x * r.by_y[i],  x * r.by_z[i], y * r.by_y[i], y * r.by_z[i],
-                                 z * r.by_z[i],     x * r.z[i],     y * r.z[i],    z * r.z[i],    r.share[i],
-                                 c * r.contrast[i], c * r.value[i], v * r.value[i]};
+        const float terms[16] = {x * r.by_x[i],     x * r.by_y[i],  x * r.by_z[i],  y * r.by_y[i],   y * r.by_z[i],
+                                 z * r.by_z[i],     x * r.z[i],     y * r.z[i],     z * r.z[i],      r.share[i],
+                                 c * r.contrast[i], c * r.value[i], v * r.value[i], w * r.feigned[i]};
         double* sum = by_anchor[anchor_of[r.tile[i]]].sum;
         for (int k = 0; k < 16; k++) sum[k] += double(terms[k]);
     }
 }
 
+/// The axes about which pixels show a rotation.
+///
+/// Errors of the picture have slopes too, which tell of no rotation. About an axis of symmetry the pattern has no
+/// others. So an axis with less true information than errors feign is unknown (errors in variables; Fuller 1987,
+/// "Measurement error models", section 2.2).
+struct KnownAxes {
+    Matrix<3> projection = Matrix<3>::Zero();
+    Matrix<3> inverse = Matrix<3>::Zero();  // of the information, 0 about the others
+    double tilt = 0.0;                      // rad, of the unknown axes, by errors of the picture
+
+    KnownAxes() = default;
+    KnownAxes(const Matrix<3>& H, const Matrix<3>& feigned) {
+        const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> found(Eigen::Matrix3d(H - 2.0 * feigned));
+        for (int i = 0; i < 3; i++) {
+            const Vector<3> axis = found.eigenvectors().col(i);
+            if (found.eigenvalues()(i) > 0.0) projection += axis * axis.transpose();
+        }
+        const Matrix<3> shown = projection * H * projection, others = Matrix<3>::Identity() - projection;
+        inverse = (shown + H.trace() * others).inverse() - others / H.trace();
+        tilt = (others * feigned).trace() * inverse.trace();
+    }
+};
+
 struct Aligned {
     Matrix<3> R;                             // R_obj_ball
     Vector<3> dx = Vector<3>::Zero();        // the last step, in axes of the ball
     float scale = 0.0f, correlation = 0.0f;  // of residuals to their model; of contrast and picture
+    KnownAxes known;                         // in axes of the ball
     int used = 0;
     bool converged = false;
 };
@@ -160,7 +191,7 @@ struct Aligned {
 /// Some samples show the way. Those that count are chosen again at each attitude: a choice at the start would take more
 /// of one side of each contour, and where the picture's contrast differs from the frame's, that pulls.
 Aligned align(const Samples& samples, const Picture& picture, const Errors& errors, const int64_t* anchor_of,
-              const Matrix<3>& R, std::vector<Sums>& by_anchor) {
+              const double* across, const Matrix<3>& R, std::vector<Sums>& by_anchor) {
     thread_local Pixels all, some;
     thread_local Residuals found;
     thread_local std::vector<TileShare> tiles;
@@ -168,8 +199,10 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
     found.make_room(all.size() + 1);
     std::vector<size_t> which;
     tiles.resize(size_t(6 * picture.tiles() * picture.tiles()));
-    Aligned r{R};
+    Aligned r;
+    r.R = R;
     Look seen;
+    if (!R.isUnitary(1e-3)) return r;  // a filter that diverges gives any matrix
     for (size_t every : {std::max<size_t>(samples.size / FEW, 1), size_t(1)}) {
         for (size_t i = 0; every > 1 && i < all.size(); i += every) which.push_back(i);
         if (every > 1) some.take(all, which);
@@ -190,10 +223,14 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
             std::fill(by_anchor.begin(), by_anchor.end(), Sums());
             add(found, anchor_of, by_anchor.data());
             Sums whole;
-            for (const Sums& one : by_anchor)
-                for (int k = 0; k < 16; k++) whole.sum[k] += one.sum[k];
-            r.dx = (whole.H() + 1e-3 * Matrix<3>::Identity()).ldlt().solve(whole.g());
-            if (!r.dx.allFinite()) break;
+            Matrix<3> feigned = Matrix<3>::Zero();
+            for (size_t a = 0; a < by_anchor.size(); a++) {
+                for (int k = 0; k < 16; k++) whole.sum[k] += by_anchor[a].sum[k];
+                feigned += by_anchor[a].feigned() * View<3, 3>(across + 9 * a);
+            }
+            r.known = KnownAxes(whole.H(), feigned);
+            r.dx = r.known.inverse * whole.g();
+            if (!r.dx.allFinite() || !(r.known.projection.trace() > 0.5)) break;
             r.correlation = whole.correlation();
             r.R = r.R * exp(r.dx * std::min(1.0, 0.1 / r.dx.norm()));
             r.converged = r.dx.cwiseAbs().maxCoeff() < NEAR;
@@ -204,13 +241,15 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
 }
 
 nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, double noise, double place, double pixel,
-                        nb::handle anchor_of_, int anchors) {
+                        nb::handle anchor_of_, nb::handle across_) {
     const Samples samples = read_samples(samples_);
     const Picture picture = read_picture(picture_);
     const auto anchor_of = array<const int64_t, 6, -1, -1>(anchor_of_, "anchor_of");
     if (int(anchor_of.shape(1)) != picture.tiles() || int(anchor_of.shape(2)) != picture.tiles())
         throw nb::type_error("anchor_of: must have one element for each tile of the picture");
-    if (anchors < 0 || anchors > MOST_ANCHORS) throw nb::index_error("anchors: too many");
+    const auto across = array<const double, -1, 3, 3>(across_, "across");
+    const int anchors = int(across.shape(0));
+    if (anchors > MOST_ANCHORS) throw nb::index_error("across: too many anchors");
     for (size_t i = 0; i < anchor_of.size(); i++)
         if (anchor_of.data()[i] < 0 || anchor_of.data()[i] >= anchors)
             throw nb::index_error("anchor_of: no such anchor");
@@ -219,18 +258,23 @@ nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, do
     Aligned r;
     {
         nb::gil_scoped_release release;
-        r = align(samples, picture, {float(noise), float(place), float(pixel)}, anchor_of.data(), start, by_anchor);
+        r = align(samples, picture, {float(noise), float(place), float(pixel)}, anchor_of.data(), across.data(), start,
+                  by_anchor);
     }
     auto H = zeros<double>({size_t(anchors), 3, 3}), g = zeros<double>({size_t(anchors), 3});
     auto count = zeros<double>({size_t(anchors)});
     const double share_of_all = std::min(1.0, double(MOST) / double(r.used));
     for (int k = 0; r.converged && k < anchors; k++) {
         const Sums& one = by_anchor[size_t(k)];
-        Eigen::Map<Matrix<3>>(H.data() + 9 * k) = share_of_all * r.R * one.H() * r.R.transpose();
-        Eigen::Map<Vector<3>>(g.data() + 3 * k) = share_of_all * r.R * (one.g() - one.H() * r.dx);  // after the step
+        const Matrix<3> known = r.R * r.known.projection;
+        Eigen::Map<Matrix<3>>(H.data() + 9 * k) = share_of_all * known * one.H() * known.transpose();
+        // after the step
+        Eigen::Map<Vector<3>>(g.data() + 3 * k) = share_of_all * known * (one.g() - one.H() * r.dx);
         count.data()[k] = share_of_all * one.count();
     }
-    return nb::make_tuple(to_numpy(r.R), r.scale, r.correlation, r.used, r.converged, H, g, count);
+    const Matrix<3> known = r.R * r.known.projection * r.R.transpose();
+    return nb::make_tuple(to_numpy(r.R), r.scale, r.correlation, r.used, r.converged, H, g, count, to_numpy(known),
+                          r.known.tilt);
 }
 
 /// Return the `most` samples of greatest contrast that may turn with the ball.
@@ -281,7 +325,7 @@ NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::h
 
 void bind_align(nb::module_& m) {
     m.def("align_texture", &align_texture, arg("samples"), arg("picture"), arg("R"), arg("noise"), arg("place"),
-          arg("pixel"), arg("anchor_of"), arg("anchors"));
+          arg("pixel"), arg("anchor_of"), arg("across"));
     m.def("correlate_texture", &correlate_texture, arg("samples"), arg("picture"), arg("attitudes"), arg("most"));
 }
 

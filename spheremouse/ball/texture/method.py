@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.events import Found, NewMap, Recognised, Turned
+from spheremouse.ball.events import AxisUnseen, Found, NewMap, Recognised, Turned
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import confirms
@@ -50,6 +50,7 @@ from spheremouse.ball.texture.picture import (
     grain_of,
     learn,
     seen_again,
+    shows_all_axes,
     tiles_in_view,
     tiles_to_learn,
     weigh,
@@ -63,6 +64,7 @@ from spheremouse.ball.texture.search import (
     TextureDetector,
     TextureState,
     fits,
+    is_ambiguous,
     near,
     search,
 )
@@ -82,6 +84,8 @@ _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of 
 _FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
+_ANY = float(np.pi / 3.0**0.5)  # rad, standard deviation of an angle of which nothing is known
+_AXIS_UNSEEN, _AXIS_SEEN = 0.75, 0.25  # share of recent frames that show no rotation about some axis
 _PLAIN = 0.25  # of the usual details, below which the ball is covered: another pattern may have half of them
 _OTHER_BALL_S = 5.0  # of details that fit at no attitude: it is another ball, or was painted
 
@@ -96,7 +100,7 @@ def detect_texture(
         before = recalled(detector, frame, before)
     if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
-        found, anchors = _detections(detector.fine, now.alignment, tracker)
+        found, anchors = _detections(detector.fine, now.alignment, tracker, predicted)
         return found, now._replace(shown=anchors)
     shown, light = detector.light(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
@@ -109,18 +113,30 @@ def detect_texture(
     searched = alignment is None and now.turned
     if searched:
         alignment = search(detector, now, None if recognises else expected, lost)
+    elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
+        alignment = None
     if alignment is not None:
         now = _learnt(detector, now, shown, alignment.attitude)
+        now = now._replace(unseen=now.unseen + _RECENT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
-            usual = now.usual + _RECENT * (alignment.correlation - now.usual)
-            now = now._replace(usual=usual, details=now.details + _RECENT * (_details(now) - now.details))
+            now = _with_usual(now, alignment)
     elif _details(now) < _PLAIN * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
-    found, anchors = _detections(detector.fine, alignment, tracker)
+    found, anchors = _detections(detector.fine, alignment, tracker, predicted)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
         proven = _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
     return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven)
+
+
+def _with_usual(now: TextureState, alignment: Alignment) -> TextureState:
+    """Return the state with the usual figures after a frame that fits near its prediction."""
+    scale = alignment.scale if now.usual_scale == np.inf else now.usual_scale
+    return now._replace(
+        usual=now.usual + _RECENT * (alignment.correlation - now.usual),
+        usual_scale=scale + _RECENT * (alignment.scale - scale),
+        details=now.details + _RECENT * (_details(now) - now.details),
+    )
 
 
 def _begins(state: TrackState[So3State], detector: TextureDetector, before: TextureState) -> bool:
@@ -271,7 +287,7 @@ def _with_lesson(view: TextureView, picture: Picture, lesson: Lesson) -> tuple[P
 
 
 def _detections(
-    view: TextureView, alignment: Alignment | None, tracker: Tracker[So3Filter]
+    view: TextureView, alignment: Alignment | None, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[Detections, NDArray[np.intp]]:
     """Return the anchors whose surroundings a frame shows, as points of the image, and their numbers, (n,).
 
@@ -281,9 +297,18 @@ def _detections(
     if alignment is None:
         return no_detections(), np.zeros(0, dtype=np.intp)
     facing = tracker.filter.station.towards, tracker.filter.station.horizon
-    errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel), view_of(view.rig, view.pose)
+    unseen = float(np.sum(predicted.joint[:3, :3] * (np.eye(3) - alignment.known)))  # rad², about unknown axes
+    tilted = alignment.tilt * max(unseen, 0.0) ** 0.5
+    errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel, tilted), view_of(view.rig, view.pose)
     place, covariance, which = kernels.anchor_points(
-        view.anchors, alignment.attitude, alignment.information, alignment.gradient, errors, facing, ball
+        view.anchors,
+        alignment.attitude,
+        alignment.information,
+        alignment.gradient,
+        errors,
+        alignment.known,
+        facing,
+        ball,
     )
     return Detections(place, covariance, alignment.pixels[which]), which
 
@@ -308,7 +333,7 @@ def _next_phase(
         return state._replace(filter=clear_matches(coasted)), ()
     match before:
         case Lost() | Recognising():
-            placed = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp)
+            placed = _relocated(predicted, now.alignment, stamp, tracker)
             filtered, saved = _update(state, tracker, placed).clone_attitude(), isinstance(before, Recognising)
             phase = before.last if isinstance(before, Lost) else Tracking()
             state = start_tracking(state, phase, filtered, filtered.attitude, stamp)
@@ -323,7 +348,16 @@ def _next_phase(
         case Learning(found=False):
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
-    return _followed(state, stamp, tracker, predicted), ()
+    return _with_axis_reported(_followed(state, stamp, tracker, predicted))
+
+
+def _with_axis_reported(state: TrackState[So3State]) -> tuple[TrackState[So3State], Events]:
+    """Return the state and an event if frames begin to show no rotation about some axis, or show it again."""
+    now: TextureState = state.search
+    lacks = now.unseen > (_AXIS_SEEN if now.lacks_axis else _AXIS_UNSEEN)
+    if lacks == now.lacks_axis:
+        return state, ()
+    return state._replace(search=now._replace(lacks_axis=lacks)), (AxisUnseen(ended=not lacks),)
 
 
 def _not_recognised(
@@ -354,9 +388,17 @@ def _followed(
     if now.searched:  # the motion since the last confirmed frame is no small correction
         turned, gap = rotation_between(state.reported_attitude, now.alignment.attitude), stamp - state.confirmed_at
         rate = turned / gap if 0.0 < gap <= tracker.settings.loss.lost_after else None
-        predicted = relocate(predicted, now.alignment.attitude, _LOOSE, tracker.settings.so3, stamp, rate)
+        predicted = _relocated(predicted, now.alignment, stamp, tracker, rate)
     filtered = _update(state, tracker, predicted)
     return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+
+
+def _relocated(
+    predicted: So3State, alignment: Alignment, stamp: float, tracker: Tracker[So3Filter], rate: Array | None = None
+) -> So3State:
+    """Return the state at an attitude that a search has found. About an axis that no pixel shows, it is any."""
+    covariance = _LOOSE**2 * alignment.known + _ANY**2 * (np.eye(3) - alignment.known)
+    return relocate(predicted, alignment.attitude, covariance, tracker.settings.so3, stamp, rate)
 
 
 def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted: So3State) -> So3State:
@@ -365,7 +407,11 @@ def _update(state: TrackState[So3State], tracker: Tracker[So3Filter], predicted:
     detector: TextureDetector = tracker.detector_data
     anchors = detector.fine.anchors[now.shown[state.points.index]]
     nearest = np.max(anchors @ predicted.discs.T, axis=1, initial=-1.0)
-    return tracker.filter.update(predicted, state.points, nearest < np.cos(2.0 * tracker.filter.disc_angle))
+    may_start = nearest < np.cos(2.0 * tracker.filter.disc_angle)
+    updated = tracker.filter.update(predicted, state.points, may_start)
+    if now.alignment is None or shows_all_axes(now.alignment):
+        return updated
+    return tracker.filter.without_unseen_axes(updated, predicted, now.alignment.known)
 
 
 TEXTURE = Method(

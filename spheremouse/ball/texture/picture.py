@@ -67,6 +67,7 @@ class TextureView:
     least_height: float  # of a tile's middle over the plane across the view, for one that is learnt; radii
     anchors: Array  # (k, 3) unit vectors, ball
     anchor_of: NDArray[np.int64]  # (6, t, t) the nearest anchor of each tile
+    across: Array  # (k, 3, 3) of the tiles of each anchor, mean projection across their directions
 
     @property
     def pixel(self) -> float:
@@ -113,6 +114,8 @@ class Alignment(NamedTuple):
     information: Array  # (k, 3, 3) of a rotation, rad^-2
     gradient: Array  # (k, 3)
     pixels: Array  # (k,) number of them, each by its weight
+    known: Array  # (3, 3) projection to the axes, obj, about which the pixels show a rotation
+    tilt: float  # rad, standard deviation of the other axes
 
 
 class AlignmentScale(NamedTuple):
@@ -121,7 +124,7 @@ class AlignmentScale(NamedTuple):
     contour: float  # rad, standard deviation of a contour of the picture
     pixel: float  # rad, between two samples
     anchor_of: NDArray[np.int64]  # (6, t, t) the anchor of each tile
-    anchors: int
+    across: Array  # (k, 3, 3) of the tiles of each anchor, mean projection across their directions
 
 
 def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) -> TextureView:
@@ -146,6 +149,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     anchors, tiles = anchor_directions(), cell_directions(cells // TILE)
     # rad, from the middle of a tile to a corner
     reach = 2.0**0.5 * TILE * HALF / cells
+    anchor_of = np.argmax(tiles @ anchors.T, axis=-1)
     return TextureView(
         rig,
         pose,
@@ -162,7 +166,8 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
         tiles.reshape(-1, 3).astype(np.float32),
         chart.height(kernels.FACING) - reach,
         anchors,
-        np.argmax(tiles @ anchors.T, axis=-1),
+        anchor_of,
+        mean_projections(tiles, anchor_of),
     )
 
 
@@ -226,7 +231,7 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
 
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
-    scale = AlignmentScale(_CONTOUR_PX * view.pixel, view.pixel, view.anchor_of, len(view.anchors))
+    scale = AlignmentScale(_CONTOUR_PX * view.pixel, view.pixel, view.anchor_of, view.across)
     return align_samples(_samples(view, seen, seen.turning), picture, attitude, noise, scale)
 
 
@@ -236,6 +241,11 @@ def align_samples(
     """Return the attitude near `attitude`, (3, 3), that explains samples. `noise` is that of a contrast."""
     attitude = np.ascontiguousarray(attitude)
     return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
+
+
+def shows_all_axes(alignment: Alignment) -> bool:
+    """Return whether the pixels show a rotation about any axis."""
+    return bool(np.trace(alignment.known) > 2.5)
 
 
 def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
@@ -351,6 +361,15 @@ def anchor_directions() -> Array:
     cube = [(a, b, c) for a in signs for b in signs for c in signs]
     others = [np.roll([0.0, a / golden, b * golden], k) for k in range(3) for a in signs for b in signs]
     return np.array([*cube, *others]) / 3.0**0.5
+
+
+def mean_projections(directions: Array, part: NDArray[np.int64]) -> Array:
+    """Return the mean projection, (k, 3, 3), across unit vectors, (..., 3), of each part."""
+    u, part = directions.reshape(-1, 3), part.ravel()
+    number = np.bincount(part)
+    along = np.zeros((len(number), 3, 3))
+    np.add.at(along, part, u[:, :, None] * u[:, None, :])
+    return np.eye(3) - along / number[:, None, None]
 
 
 def cell_directions(cells: int) -> Array:

@@ -259,4 +259,6 @@ def _samples(picture: Picture, most: int) -> Samples:
 
 def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
     pixel, one_anchor = 2.0 * HALF / picture.value.shape[1], np.zeros(picture.known.shape, np.int64)
-    return align_samples(samples, picture, attitude, noise, AlignmentScale(_CONTOUR, pixel, one_anchor, 1))
+    return align_samples(
+        samples, picture, attitude, noise, AlignmentScale(_CONTOUR, pixel, one_anchor, np.eye(3)[None] * (2.0 / 3.0))
+    )

@@ -36,16 +36,19 @@ from spheremouse.ball.texture.picture import (
 )
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array, exp
+from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
 _COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
 LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
-_USUAL = 0.7  # of the usual correlation, that a search must find: a wrong attitude fits some details by chance
+# A wrong attitude fits some details by chance. So a search must find so much of the usual correlation, and residuals up
+# to so many times the usual ones. A hand or blur may make them larger near the prediction.
+_USUAL, _USUAL_SCALE, _MOST_SCALE = 0.7, 1.6, 2.5
 _CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 # rad, of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
 _STEP = float(np.radians(2.7))
 _AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
+_RIVAL = float(np.radians(6.0))  # rad, apart are two attitudes of a pattern that repeats itself
 _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples
 _BEST = 4  # attitudes of a search from which an alignment starts
@@ -126,7 +129,10 @@ class TextureState(NamedTuple):
     alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
     searched: bool = False  # it was not near the prediction
     usual: float = 0.0  # correlation of the frames that fitted near their predictions
+    usual_scale: float = np.inf  # of the residuals of these frames, in standard deviations; inf: none since the start
     details: float = 0.0  # coarse samples of these frames that showed a detail
+    unseen: float = 0.0  # share of recent frames that showed no rotation about some axis
+    lacks_axis: bool = False  # events have reported that
     last_plain_stamp: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
@@ -135,7 +141,8 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
     """Return the alignment of a frame near an attitude, None if the frame does not fit there, and whether it turns."""
     found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
     if fits(found) or now.turned:
-        return (found if fits(found) else None), fits(found)
+        usual = fits(found) and found.scale < _MOST_SCALE * now.usual_scale
+        return (found if usual else None), usual
     # Only what has changed since the first frame counted. If that is little, the ball rests.
     whole = align(detector.fine, with_doubtful(now.fine.seen), now.fine.picture, attitude, now.noise)
     return (whole if found.used < _CHANGED * whole.used and fits(whole) else None), False
@@ -147,19 +154,48 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array | None,
     For a ball that is `lost`, this includes a part of all attitudes. `attitude` is None if nothing is known of it.
     """
     for start in _start_attitudes(detector, now, attitude, lost):
-        rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
-        if not rough.correlation > LEAST_CORRELATION:
-            continue
-        found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
-        if fits(found) and found.correlation > _USUAL * now.usual:
-            return found
+        found = _fit_from(detector, now, start)
+        if found is not None:
+            return None if is_ambiguous(detector, now, found) else found
     return None
+
+
+def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Alignment | None:
+    """Return the alignment of a frame from an attitude near the coarse picture's, None if the frame does not fit."""
+    rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
+    if not rough.correlation > LEAST_CORRELATION:
+        return None
+    found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
+    usual = found.correlation > _USUAL * now.usual and found.scale < _USUAL_SCALE * now.usual_scale
+    return found if fits(found) and usual else None
+
+
+def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:
+    """Return whether a frame that fits at an attitude fits as well up to 48° away: the pattern repeats itself.
+
+    Attitudes that differ only about an axis that no pixel shows count as one.
+    """
+    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    for grid in _GRIDS:
+        turns = grid[np.linalg.norm(log(grid) @ found.known, axis=1) > _RIVAL]
+        for start in best_attitudes(correlation, turns @ found.attitude):
+            other = _fit_from(detector, now, start)
+            if other is None or significance(found) - significance(other) > _SIGNIFICANT:
+                continue
+            if np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _RIVAL:
+                return True
+    return False
 
 
 def fits(alignment: Alignment) -> bool:
     """Return whether frame and picture show the same."""
-    significance = np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / DETAIL)
-    return alignment.converged and alignment.correlation > LEAST_CORRELATION and bool(significance > _SIGNIFICANT)
+    enough = alignment.correlation > LEAST_CORRELATION and significance(alignment) > _SIGNIFICANT
+    return alignment.converged and enough
+
+
+def significance(alignment: Alignment) -> float:
+    """Return the correlation of frame and picture in standard deviations of that of independent pictures."""
+    return float(np.arctanh(min(alignment.correlation, 0.999)) * np.sqrt(alignment.used / DETAIL))
 
 
 def _start_attitudes(

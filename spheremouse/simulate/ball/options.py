@@ -10,7 +10,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.settings import param
 
 View = Literal["far", "near"]
-PatternName = Literal["patches", "marble", "speckle", "dirt", "none"]
+PatternName = Literal["patches", "marble", "speckle", "stripes", "dirt", "none"]
 Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
 Triple = tuple[float, float, float]
 Named = Callable[[str], str]  # returns the name of a field in its source, for messages

@@ -19,6 +19,7 @@ Albedo = Callable[[Single], Single]  # unit vectors in ball, (n, 3) -> 0..1, (n,
 _WAVES_PER_FIELD = 64  # of a field
 _CHUNK_DIRECTIONS = 4096  # directions at a time: their waves stay in the processor's cache
 _EDGE_WIDTH_RAD = 0.004  # rad, width of a painted edge
+_STRIPES = np.float32(18.0)  # between the poles there are half as many
 _CELLS_PER_SIDE = 48  # along the side of the cube around the ball, to look up its dots
 
 
@@ -148,6 +149,9 @@ def _painted(name: PatternName, rng: np.random.Generator) -> Albedo:
     if name == "speckle":
         dots = _dots(rng, 2500, 0.006, 0.03)
         return lambda d: 1.0 - 0.9 * dots(d)
+    if name == "stripes":  # about an axis: a turn about it shows nothing
+        axis = _single(_anywhere(rng, 1)[0])
+        return lambda d: 1.0 - 0.6 * _inside(_single(np.sin(_STRIPES * np.arcsin(np.clip(d @ axis, -1, 1))) / _STRIPES))
     if name == "dirt":
         smears = _strokes(rng, 26, length=(0.1, 0.5), width=(0.05, 0.2), depth=(0.08, 0.2))
         scratches = _strokes(rng, 40, length=(0.08, 0.4), width=(0.006, 0.015), depth=(0.1, 0.22))

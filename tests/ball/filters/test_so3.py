@@ -335,7 +335,7 @@ def test_relocation_keeps_the_map_and_forgets_the_rest():
     joint[READOUT, READOUT] = 1e-8
     state = replace(state, joint=joint, readout=0.012)  # learnt before
     found = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
-    placed = relocate(state, found, 0.003, SETTINGS, 99.0)
+    placed = relocate(state, found, 9e-6 * np.eye(3), SETTINGS, 99.0)
     assert placed.stamp == 99.0
     assert_allclose(placed.attitude, found)
     assert_allclose(placed.joint[KINEMATIC_DIM:, KINEMATIC_DIM:], state.joint[KINEMATIC_DIM:, KINEMATIC_DIM:])

@@ -224,7 +224,7 @@ def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
     rng = np.random.default_rng(3)
     found = exp(3e-3 * rng.normal(size=3)) @ R
     state = with_map(FILTER.initial(50.0, np.eye(3)), known, 1000)
-    state = relocate(state, found, 3e-3, SETTINGS, 50.0, rate)
+    state = relocate(state, found, 9e-6 * np.eye(3), SETTINGS, 50.0, rate)
     after, R_after = play(state, SPIN, 45, np.random.default_rng(4), R)
     went, R_went = play(before, SPIN, 45, np.random.default_rng(4), R)
     assert_allclose(R_after, R_went, atol=1e-12)
@@ -250,7 +250,7 @@ def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
         saved = DiscMap(wrong, covariance, np.full(24, 100))
         R = exp(rng.normal(size=3))
         state = with_map(OWN.initial(0.0, np.eye(3)), saved, 1000)
-        state = relocate(state, exp(3e-3 * rng.normal(size=3)) @ R, 3e-3, OWN.settings, 0.0, np.zeros(3))
+        state = relocate(state, exp(3e-3 * rng.normal(size=3)) @ R, 9e-6 * np.eye(3), OWN.settings, 0.0, np.zeros(3))
         for k in range(12):
             state = OWN.update(OWN.predict(state, k * DT), seen(R, rng))
         e = log(R @ state.attitude.T)

@@ -260,3 +260,29 @@ def test_a_turn_that_no_disc_has_shown_is_as_uncertain_as_a_random_walk_of_the_r
     lift = np.kron(np.eye(2), axis[:, None])
     assert lift.T @ found @ lift == pytest.approx(expected, rel=0.04)
     assert found == pytest.approx(lift @ (lift.T @ found @ lift) @ lift.T, abs=1e-12)
+
+
+def test_an_update_takes_nothing_from_motion_about_an_axis_that_a_frame_did_not_show():
+    rng, axis = np.random.default_rng(1), np.array([0.6, 0.0, 0.8])
+    discs, across = directions(26, 1), np.eye(3) - np.outer(axis, axis)
+    tracker, state = known_ball(discs, rng)
+    f, before = tracker.filter, doubtful(state.filter, axis, 0.05, state.filter.stamp)
+    predicted = f.predict(replace(before, rate=0.3 * axis), before.stamp + DT)
+    updated = f.update(predicted, intersect(photo(exp(np.array([0.01, 0.02, 0.03])), rng, discs), RIG, POSE))
+    assert axis @ updated.joint[:3, :3] @ axis < 0.1 * axis @ predicted.joint[:3, :3] @ axis
+    kept = f.without_unseen_axes(updated, predicted, across)
+    for part in (slice(0, 3), slice(3, 6)):
+        assert axis @ kept.joint[part, part] @ axis >= axis @ predicted.joint[part, part] @ axis - 1e-12
+        same = across @ (kept.joint[part, part] - updated.joint[part, part]) @ across
+        assert same == pytest.approx(0.0, abs=1e-3 * np.trace(updated.joint[part, part]))
+    assert np.linalg.eigvalsh(kept.joint).min() > -1e-12
+    assert axis @ log(kept.attitude @ predicted.attitude.T) == pytest.approx(0.0, abs=1e-6)
+    assert across @ log(kept.attitude @ updated.attitude.T) == pytest.approx(0.0, abs=2e-4)  # second order
+    assert axis @ kept.rate == pytest.approx(np.exp(-DT) * axis @ predicted.rate)
+    for _ in range(600):  # what nothing shows tends to what is known of any player
+        predicted = f.predict(kept, kept.stamp + DT)
+        kept = f.without_unseen_axes(predicted, predicted, across)
+    sigma = f.settings.start_rate_sigma
+    assert abs(axis @ kept.rate) < 1e-6
+    assert axis @ kept.joint[3:6, 3:6] @ axis > sigma**2
+    assert axis @ kept.joint[3:6, 3:6] @ axis < 4.0 * (sigma**2 + usual_acceleration(f.settings) ** 2)

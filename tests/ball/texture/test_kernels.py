@@ -38,7 +38,7 @@ def aligned(
     weight=PICTURE.weight,
     **samples: Any,
 ) -> Any:
-    more = {"anchor_of": VIEW.anchor_of, "anchors": len(VIEW.anchors)}
+    more = {"anchor_of": VIEW.anchor_of, "across": VIEW.across}
     more |= {name: samples.pop(name) for name in list(samples) if name in more}
     members = _members(samples)
     return kernels.align_texture(members, (value, weight), R, noise, place, VIEW.pixel, *more.values())
@@ -102,6 +102,7 @@ OTHER_NAMES: dict[Any, str] = {
         (aligned, "value", PICTURE.value[:, 1:, 1:].copy()),
         (aligned, "weight", PICTURE.weight[:, 8:, 8:].copy()),
         (aligned, "anchor_of", VIEW.anchor_of[:, 1:].copy()),
+        (aligned, "across", VIEW.across[:, :2].copy()),
         (doubted, "first", SEEN.first[1:].copy()),
         (doubted, "own", SEEN.odds[1:].copy()),
         (learnt, "known", PICTURE.known[:, 1:].copy()),
@@ -192,7 +193,7 @@ def test_no_information_comes_from_what_stands_still_or_is_unknown():
 
 def test_the_information_of_the_anchors_is_that_of_their_pixels():
     """With one anchor it is the sum of those of all."""
-    each, one = aligned(), aligned(anchor_of=np.zeros_like(VIEW.anchor_of), anchors=1)
+    each, one = aligned(), aligned(anchor_of=np.zeros_like(VIEW.anchor_of), across=np.eye(3)[None] * (2.0 / 3.0))
     for member in (5, 6, 7):
         assert np.allclose(each[member].sum(axis=0), one[member][0], rtol=1e-9, atol=1e-9 * np.abs(each[member]).max())
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.build import begin, build, detector_name
-from spheremouse.ball.events import BallLost, Found, NewMap, Recognised, Turned
+from spheremouse.ball.events import AxisUnseen, BallLost, Found, NewMap, Recognised, Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.ball.track import step, with_pose, with_settings
@@ -131,6 +131,27 @@ def test_a_ball_that_shows_too_little_is_never_tracked(pattern):
     steps = follow([m.frame for m in made], tracker)
     assert all(s.state.status is Status.SEARCHING for s in steps)
     assert all(not s.estimate.increment.any() for s in steps)
+
+
+def test_motion_about_the_axis_of_stripes_is_as_uncertain_as_it_is_unknown():
+    """The other two axes are followed, and the log says what is missing."""
+    made, tracker = film("stripes", seconds=4.0, size=(640, 480), motion="play")
+    steps = follow([m.frame for m in made], tracker)
+    assert events(steps).count(AxisUnseen) == 1
+    axis = np.random.default_rng([7, 3]).standard_normal(3)  # of the stripes
+    axis /= np.linalg.norm(axis)
+    tracked = [k for k, s in enumerate(steps) if s.state.status is Status.TRACKING and s.estimate.confirmed]
+    first = tracked[0]
+    offset = steps[first].estimate.rotation.T @ made[first].attitude
+    tilts = []
+    for k in tracked[10:]:
+        along, covariance = made[k].attitude @ axis, steps[k].estimate.covariance[:3, :3]
+        about = along @ covariance @ along
+        tilts.append(np.linalg.norm(np.cross(along, steps[k].estimate.rotation @ offset @ axis)))
+        assert tilts[-1] < 4.0 * np.sqrt(np.trace(covariance) - about)
+        error = along @ log(steps[k].estimate.rotation @ offset @ made[k].attitude.T)
+        assert abs(error) < 4.0 * np.sqrt(about)
+    assert np.degrees(np.median(tilts)) < 1.0
 
 
 @pytest.mark.parametrize("level", [0, 255])

@@ -44,6 +44,11 @@ def waves(rng, count=40):
     return lambda x: np.sin(x @ k.T + phase).sum(axis=1) * 0.2 / np.sqrt(count)
 
 
+def rings(x):
+    """A texture that a rotation about z does not change."""
+    return 0.2 * np.sin(12.0 * x[:, 2])
+
+
 @pytest.fixture(scope="module")
 def view():
     return DETECTOR.fine
@@ -164,16 +169,43 @@ def test_anchors_in_view_are_points_and_their_twin_the_same(view):
     texture, R = waves(rng), exp(rng.normal(size=3))
     found = align(view, first_seen(view, shown(view, texture, R)), picture_with(view, texture), R, NOISE)
     towards = view.chart.axes[2].copy()
-    facing, errors = (towards, 0.3), (0.005, 0.01, 1e-4)
+    facing, errors = (towards, 0.3), (0.005, 0.01, 1e-4, 0.0)
+    ball = view_of(view.rig, view.pose)
     given = view.anchors, found.attitude, found.information, found.gradient
-    place, covariance, which = kernels.anchor_points(*given, errors, facing, view_of(view.rig, view.pose))
+    assert np.allclose(found.known, np.eye(3), atol=1e-9)
+    place, covariance, which = kernels.anchor_points(*given, errors, found.known, facing, ball)
     twin = twins.anchor_points(view, found, facing, errors)
     assert len(which) > 4
     assert np.array_equal(which, twin[2])
     assert np.allclose(place, twin[0], atol=1e-9)
     assert np.allclose(covariance, twin[1], rtol=1e-6)
     with pytest.raises(TypeError, match="gradient"):
-        kernels.anchor_points(*given[:3], given[3][1:].copy(), errors, facing, view_of(view.rig, view.pose))
+        kernels.anchor_points(*given[:3], given[3][1:].copy(), errors, found.known, facing, ball)
+
+
+def test_anchors_of_a_pattern_of_rings_have_no_place_along_them_and_their_twin_the_same(view):
+    """Their rows of the information about the axis of the rings sum to nothing, and they are known across them."""
+    rng = np.random.default_rng(8)
+    R = exp(rng.normal(size=3))
+    contrast = shown(view, rings, R) + rng.normal(0.0, NOISE, len(view.at)).astype(np.float32)
+    picture = picture_with(view, rings)
+    found = align(view, first_seen(view, contrast), picture, R, NOISE)
+    axis = R[:, 2]
+    assert np.trace(found.known) == pytest.approx(2.0)
+    assert axis @ found.known @ axis < 0.01
+    cells = picture.value.astype(float), picture.weight.astype(float)
+    *_, known = twins.align(contrast, directions(view), cells, R, NOISE, 0.1 * view.pixel, view.pixel)
+    assert np.allclose(found.known, known, atol=0.03)
+    towards, errors, ball = view.chart.axes[2].copy(), (0.005, 0.01, 1e-4, 0.02), view_of(view.rig, view.pose)
+    given = view.anchors, found.attitude, found.information, found.gradient, errors, found.known, (towards, 0.3), ball
+    place, covariance, which = kernels.anchor_points(*given)
+    twin = twins.anchor_points(view, found, (towards, 0.3), errors)
+    assert np.array_equal(which, twin[2])
+    assert np.allclose(place, twin[0], atol=1e-6)
+    assert np.allclose(covariance, twin[1], rtol=1e-4)
+    least, most = np.sqrt(np.linalg.eigvalsh(covariance)).T
+    assert np.all(most > 20.0)  # px: half a radian and more
+    assert np.all(least < 3.0)
 
 
 def test_the_coarse_chart_has_the_mean_of_four_by_four_pixels():
@@ -212,7 +244,7 @@ def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     start = exp(rng.normal(0.0, 0.02, 3)) @ R
     found = align(view, seen, picture, start, NOISE)
     q, d = seen.contrast.astype(float), directions(view)
-    twin, scale, correlation, information = twins.align(
+    twin, scale, correlation, information, known = twins.align(
         q, d, (picture.value.astype(float), picture.weight.astype(float)), start, NOISE, 0.1 * view.pixel, view.pixel
     )
     assert found.converged
@@ -221,6 +253,7 @@ def test_alignment_finds_the_attitude_and_its_twin_the_same(view, seed):
     assert found.scale == pytest.approx(scale, rel=0.06)  # three standard deviations of a median of 2000
     assert found.correlation == pytest.approx(correlation, abs=5e-3)
     assert np.allclose(found.information.sum(axis=0), information, rtol=0.12, atol=0.01 * information.max())
+    assert np.allclose(found.known, known, atol=1e-9)
     assert found.pixels.sum() <= found.used
 
 

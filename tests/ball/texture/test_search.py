@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.texture.picture import Alignment, align
-from spheremouse.ball.texture.search import fits, near, search, texture_detector
+from spheremouse.ball.texture.picture import Alignment, align, shows_all_axes
+from spheremouse.ball.texture.search import fits, is_ambiguous, near, search, texture_detector
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import exp, log
 from tests.ball.texture.painted import DETECTOR, NOISE, POSE, RIG, contrast_at, plain, rings, state_at, waves
@@ -41,7 +41,7 @@ def is_right(found, R):
 )
 def test_a_fit_needs_correlation_and_details_and_an_end(change, expected):
     blank = np.zeros((20, 3, 3))
-    found = Alignment(np.eye(3), 1.0, 0.9, 6000, True, blank, blank[:, 0], blank[:, 0, 0])
+    found = Alignment(np.eye(3), 1.0, 0.9, 6000, True, blank, blank[:, 0], blank[:, 0, 0], np.eye(3), 0.0)
     assert fits(found._replace(**change)) == expected
 
 
@@ -95,12 +95,34 @@ def test_noise_alone_fits_nowhere():
 
 
 def test_a_texture_of_rings_tells_nothing_of_the_turn_about_their_axis():
-    """The information about the axis is 1 % of that about the others: noise of the picture's cells."""
     rng = np.random.default_rng(6)
     now = state_at(rings, np.eye(3), rng)
     found = align(DETECTOR.fine, now.fine.seen, now.fine.picture, np.eye(3), NOISE)
-    whole = found.information.sum(axis=0)
-    assert whole[2, 2] < 0.01 * min(whole[0, 0], whole[1, 1])
+    assert not shows_all_axes(found)
+    assert np.allclose(found.known, np.diag([1.0, 1.0, 0.0]), atol=0.1)
+    now = state_at(waves(0), np.eye(3), rng)
+    assert shows_all_axes(align(DETECTOR.fine, now.fine.seen, now.fine.picture, np.eye(3), NOISE))
+
+
+def test_a_pattern_that_repeats_itself_is_found_nowhere_unless_by_its_prediction():
+    """Its contrast is the same after a turn of 20° about z, since it is a sum of waves of that period."""
+    rng = np.random.default_rng(9)
+
+    def repeated(view, x):
+        longitude = np.arctan2(x[:, 1], x[:, 0])
+        return 0.05 * np.sin(18.0 * longitude) * np.sqrt(1.0 - x[:, 2] ** 2) + 0.05 * np.sin(14.0 * x[:, 2])
+
+    now = state_at(repeated, np.eye(3), rng)._replace(usual=0.9)
+    for turn in (0.0, 0.02):
+        fit, turns = near(DETECTOR, now, exp(np.array([0.0, 0.0, turn])))
+        assert turns
+        assert fit is not None
+        assert is_ambiguous(DETECTOR, now, fit)
+    assert search(DETECTOR, now, exp(np.array([0.0, 0.0, 0.12])), lost=False) is None
+    once = state_at(waves(0), np.eye(3), rng)
+    fit, _ = near(DETECTOR, once, np.eye(3))
+    assert fit is not None
+    assert not is_ambiguous(DETECTOR, once, fit)
 
 
 @pytest.mark.parametrize(("part", "pattern"), [(0.5, plain), (0.6, waves(200))], ids=["hand", "sleeve"])

@@ -6,6 +6,7 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.geometry.rotation import exp, tangent_basis
 
 HALF, TILE = 1.1, 8
+SMOOTH = 0.06
 LEAST_WEIGHT, STATIC_ODDS, YOUNG, FAR, FACING = 0.08, -3.0, 3.0, 3.8, 0.3
 
 
@@ -52,7 +53,7 @@ def mean_by_tile(share, x, n):
 
 
 def align(contrast, d, picture, R, noise, place, pixel):
-    """Attitude that explains the contrast of samples, (k,) at directions (k, 3) of obj, its scale and correlation."""
+    """Attitude by the contrast of samples, (k,) at (k, 3) in obj: with scale, correlation, information, known axes."""
     value, weight = picture
 
     def model(R):
@@ -77,7 +78,12 @@ def align(contrast, d, picture, R, noise, place, pixel):
         if np.abs(dx).max() < 1e-7:
             break
         R = exp(dx) @ R
-    return R, scale, correlation, (J * w[:, None]).T @ J
+    H = (J * w[:, None]).T @ J
+    across, slope = np.eye(3) - d[chosen, :, None] * d[chosen, None, :], np.sum(J * J, axis=1)
+    feigned = (SMOOTH * noise**2 / look(value, weight, d[chosen] @ R)[1] + 2.0 * place**2 * slope) / pixel**2
+    values, axes = np.linalg.eigh(H - 2.0 * np.einsum("k,kij->ij", w * feigned, across))
+    axes = axes[:, values > 0.0]
+    return R, scale, correlation, H, axes @ axes.T
 
 
 def correlate(contrast, d, picture, R):
@@ -166,20 +172,32 @@ def contrast(light, inside, far, reach):
 
 def anchor_points(view, alignment, facing, errors):
     """Places, covariances and numbers of the anchors that a frame shows, by differences."""
-    loose, prior, shared = errors
+    loose, prior, shared, tilted = errors
     b = view.anchors @ alignment.attitude.T
     E = tangent_basis(b)
     H = E.transpose(0, 2, 1) @ alignment.information @ E
     which = np.flatnonzero((b @ facing[0] > facing[1]) & (np.linalg.eigvalsh(H)[:, 1] > loose**-2))
-    b, E = b[which], E[which]
-    C = np.linalg.inv(H[which] + prior**-2 * np.eye(2))
-    own = E @ C @ E.transpose(0, 2, 1) @ alignment.gradient[which][:, :, None]
-    b = np.einsum("kij,kj->ki", exp(own[:, :, 0]), b)
+    in_view = np.count_nonzero(b @ facing[0] > facing[1])
+    b, E, C = b[which], E[which], np.zeros((len(which), 2, 2))
+    for k, own in enumerate(alignment.information[which]):
+        values, axes = np.linalg.eigh(own + prior_information(E[k], prior, alignment.known))
+        C3 = axes / np.maximum(values, 10.0**-2) @ axes.T
+        C[k] = E[k].T @ C3 @ E[k]
+        b[k] = exp(E[k] @ E[k].T @ C3 @ alignment.gradient[which[k]]) @ b[k]
     steps = 1e-5 * np.cross(E.transpose(0, 2, 1), b[:, None])
     uv = seen_at(np.stack([b[:, None] - steps, b[:, None] + steps]).reshape(-1, 3), view.rig, view.pose)
     J = np.diff(uv.reshape(2, len(b), 2, 2), axis=0)[0].transpose(0, 2, 1) / 2e-5
-    covariance = J @ (C + shared**2 * np.eye(2)) @ J.transpose(0, 2, 1)
+    common = in_view * tilted**2 * E.transpose(0, 2, 1) @ alignment.known @ E
+    covariance = J @ (C + shared**2 * np.eye(2) + common) @ J.transpose(0, 2, 1)
     return seen_at(b, view.rig, view.pose), covariance, which
+
+
+def prior_information(E, sigma, known):
+    """Limit of the information of a rotation, `sigma` about columns of E, for a huge variance about unknown axes."""
+    least = np.linalg.inv(sigma**2 * E @ E.T + 1e-10 * np.eye(3))
+    values, axes = np.linalg.eigh(known)
+    O = axes[:, values < 0.5]
+    return least - least @ O @ np.linalg.inv(O.T @ least @ O) @ O.T @ least if O.shape[1] else least
 
 
 def leave_out_doubtful(contrast, first, own, odds, change, detail):
