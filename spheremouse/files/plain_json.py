@@ -9,7 +9,8 @@ import math
 from typing import Any
 
 MAX_DEPTH = 20  # levels; a scene has 5
-_CHECKED = (str, list, dict)
+_NESTED = (list, dict)  # a union in `isinstance` is built at each call
+_CHECKED = (str, *_NESTED)
 MAX_DIGITS = 30  # of a whole number; 64 bits have 20
 
 
@@ -78,7 +79,7 @@ def _check(value: Any, depth: int, surrogates: bool) -> None:
     if isinstance(value, str):
         if not (surrogates or value.isascii()) and any("\ud800" <= c <= "\udfff" for c in value):
             raise ValueError("half a surrogate pair")
-    elif isinstance(value, list | dict):
+    elif isinstance(value, _NESTED):
         if depth == 0:
             raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
         for inner in (*value, *value.values()) if isinstance(value, dict) else value:

@@ -106,8 +106,7 @@ class DaemonLink:
     def rows(self, after: int) -> tuple[list[list[Any]], int]:
         """Return the samples after the first `after`, as far as they are kept, and the number of all so far."""
         with self._storing:
-            new = min(self.count - after, len(self._rows))
-            return list(islice(self._rows, len(self._rows) - new, None)), self.count
+            return list(islice(reversed(self._rows), self.count - after))[::-1], self.count
 
     async def ask(self, command: str, /, **arguments: Any) -> Message:
         """Return the daemon's reply. Raises ControlError if it refuses or does not answer."""

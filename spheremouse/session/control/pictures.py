@@ -15,6 +15,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import orjson
+
 from spheremouse.errors import ControlError
 
 PictureFormat = Literal["jpeg", "yuyv", "nv12", "grey", "bgr"]
@@ -143,7 +145,7 @@ class PictureReader:
             self._order()
             if copied is not None and self._numbers[at // 8] == number:
                 stamp, kind, width, height, pixels, annotations = copied
-                marks = json.loads(annotations) if annotations else None
+                marks = orjson.loads(annotations) if annotations else None
                 return LivePicture(number, stamp, _FORMATS[kind], width, height, pixels, marks)
         return None
 

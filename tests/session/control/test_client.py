@@ -42,6 +42,30 @@ def test_the_client_says_what_is_wrong(path):
             client.ask("set", assignments=[70000 * "x"])
 
 
+@pytest.mark.parametrize("sample", ["[" * 600 + "]" * 600, "NaN", "1e999", '"\\ud800 "', "[1"])
+def test_a_sample_of_a_program_that_is_no_daemon_is_refused(path, sample):
+    """Other code reads samples than other messages."""
+
+    def serve():
+        with server.accept()[0] as connection:
+            connection.recv(1000)
+            connection.sendall(b'{"ok": true}\n{"event":"sample","sample":' + sample.encode() + b"}\n")
+
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+        server.listen()
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with Client(path) as client:
+            events = client.events(1.0, samples=True)
+            if "ud800" in sample:  # a name with half a surrogate pair
+                assert next(events)["sample"] == "\ud800 "
+            else:
+                with pytest.raises(NoDaemonError, match="no daemon of spheremouse"):
+                    next(events)
+        thread.join()
+
+
 def test_a_file_whose_name_is_no_text_is_in_a_status(path):
     """Half a surrogate pair, as Python calls such a byte."""
     with ControlServer(path, ControlSettings(), lambda p: p.answer(a_status(config="caf\udce9.yaml"))):
