@@ -198,7 +198,7 @@ async def slide(page: Page) -> None:
         for k in itertools.count(1):
             begun, values = time.monotonic(), {"motion.scale_x": 1.0 + 0.1 * (k % 10)}
             await browser.send(json.dumps({"type": "set", "id": k, "values": values, "gesture": "slide"}))
-            while (answer := json.loads(await browser.recv())).get("id") != k:
+            while (answer := json.loads(await browser.recv())).get("id") != k or answer["type"] == "progress":
                 pass
             assert answer["type"] == "done", answer
             await asyncio.sleep(max(0.0, begun + 0.05 - time.monotonic()))

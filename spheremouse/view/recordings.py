@@ -54,7 +54,7 @@ class Recordings:
             self.end()
             raise
         self._daemon.switch(replay.socket)
-        return f"{name} plays in place of the camera."
+        return f"The page plays {name} in place of the camera."
 
     async def leave(self) -> str:
         """End a comparison and the replay, and set the settings that it had changed in the daemon, as one step of undo.
@@ -93,7 +93,7 @@ class Recordings:
         """
         recording, status = await self._recording(name), self._daemon.status or {}
         end = min(end or recording.seconds, recording.seconds)
-        if end - begin > _MAX_COMPARED:
+        if end - begin > _MAX_COMPARED and not recording.wand:
             raise ControlError(f"compare: {end - begin:.0f} s; choose a section of at most {_MAX_COMPARED:g} s")
         words = ["evaluate", str(recording.path), "--json", "-", *self._options(recording)]
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 from reporting import report
 
+from spheremouse.errors import ControlError
 from spheremouse.output import open_output
 from spheremouse.session.process import child
 from spheremouse.view.access import Access
@@ -76,10 +77,10 @@ def test_a_page_gets_each_sample(browser):
 STATUS = {"tracker": "so3", "config": "/etc/c.yaml", "given": [], "changes": []}
 
 
-def compared(monkeypatch, folder, status, values=None, wand=False):
+def compared(monkeypatch, folder, status, values=None, wand=False, seconds=2):
     """The options of `evaluate` for saved and present settings, as sets of pairs."""
     (folder / "r").mkdir()
-    scene = {"frames": 60, "fps": 30} | ({"wand": {}} if wand else {})
+    scene = {"frames": 30 * seconds, "fps": 30} | ({"wand": {}} if wand else {})
     (folder / "r/scene.json").write_text(json.dumps(scene))
     asked = []
 
@@ -94,7 +95,7 @@ def compared(monkeypatch, folder, status, values=None, wand=False):
         status=STATUS | {"recordings": str(folder)} | status, socket=None, values=lambda: {"values": values or {}}
     )
     with ThreadPoolExecutor() as pool:  # since Playwright may have a loop in this thread
-        pool.submit(asyncio.run, Recordings(daemon).compare("r", 0.5, 1.5)).result()
+        pool.submit(asyncio.run, Recordings(daemon).compare("r", 0.5, seconds - 0.5)).result()
     return [{*zip(words[::2], words[1::2], strict=True)} for words in asked]
 
 
@@ -145,3 +146,12 @@ def test_a_recording_of_the_same_kind_keeps_the_tracker(monkeypatch, tmp_path, t
     )
     assert ("--set", f'tracker="{tracker}"') in words
     assert not any(option == "--tracker" for option, _ in words)
+
+
+def test_a_long_section_is_refused_but_not_of_a_ball_in_a_hand_which_has_none(monkeypatch, tmp_path):
+    with pytest.raises(ControlError, match="at most 60 s"):
+        compared(monkeypatch, tmp_path, {}, seconds=62)
+    (tmp_path / "r/scene.json").unlink()
+    (tmp_path / "r").rmdir()
+    (words,) = compared(monkeypatch, tmp_path, {"tracker": "wand"}, wand=True, seconds=62)
+    assert words == {CONFIG}

@@ -72,6 +72,7 @@ def value(service, key):
 def test_state_and_reason_are_in_words_and_follow_the_service(page, service):
     assert page.locator("#state").inner_text() == "tracking"
     wait_for("a reason", lambda: page.locator("#reason").inner_text())
+    assert "sends no motion" in page.locator("#advice").inner_text()  # the output is null
     service.ask("pause")
     page.get_by_text("paused", exact=True).wait_for()
     assert "Resume" in page.locator("#advice").inner_text()
@@ -358,6 +359,10 @@ def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page
     page.get_by_text("unsaved", exact=True).first.wait_for()
     assert value(service, "so3.acceleration_sigma") is None
     choose(page, "Recordings")
+    page.locator("#compare").click()
+    page.locator("#stop-compare").click()
+    page.get_by_text("the comparison was ended").wait_for()
+    assert page.locator("#stop-compare").is_hidden()
     page.locator("#compare").click()
     rows = page.locator("#panel-Recordings tbody tr")
     rows.first.wait_for(timeout=60000)

@@ -126,7 +126,7 @@ class Browser:
         while True:
             message = read(self.socket.recv(timeout=PATIENCE))
             self.seen.append(message)
-            if message.get("id") == self._id:
+            if message.get("id") == self._id and message["type"] != "progress":
                 return message
 
     def frame(self):

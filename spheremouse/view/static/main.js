@@ -154,6 +154,8 @@ function advice(now) {
   if (now.source?.replay) return "A recording plays. The pointer follows the camera, not the recording.";
   const missing = now.targets?.missing;
   if (now.state === "searching-targets" && missing?.length) return `Not seen: targets ${missing.join(", ")}. Clear the view of them, and add light.`;
+  if (now.state === "tracking" && now.outputs?.every((/** @type {{spec: string}} */ output) => output.spec === "null"))
+    return "The ball is followed. The output null sends no motion.";
   return STATES[now.state]?.advice ?? "";
 }
 

@@ -116,7 +116,8 @@ export class RecordingsPanel {
   async #compare() {
     const whole = this.#all.get(this.#list.value)?.wand ? " Of balls in a hand, this is the whole recording." : "";
     this.#stop.hidden = false;
-    const done = await this.#run(this.#evaluate, "compare", `Both settings are tracked.${whole}`);
+    const both = this.#status?.changes?.length ? "Both settings are tracked." : "No setting is unsaved, so both columns will be equal.";
+    const done = await this.#run(this.#evaluate, "compare", both + whole);
     if (document.activeElement === this.#stop) this.#evaluate.focus();
     this.#stop.hidden = true;
     if (!done) return;

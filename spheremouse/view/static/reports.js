@@ -42,7 +42,8 @@ export class LogPanel {
       line.toggleAttribute("hidden", hidden);
       shown += Number(!hidden);
     }
-    setText(this.#count, `${shown} of ${this.#lines.children.length} lines`);
+    const all = this.#lines.children.length;
+    setText(this.#count, all ? `${shown} of ${all} lines` : "No line yet. The page shows the lines since it was opened.");
   }
 }
 
@@ -103,8 +104,8 @@ export class DoctorPanel {
     this.#perform = perform;
     this.#run.addEventListener("click", async () => {
       this.#run.disabled = true;
-      setText(this.#note, "Examining. This takes a few seconds.");
-      const done = await perform("doctor");
+      setText(this.#note, "Examining. This takes some seconds.");
+      const done = await perform("doctor", {}, (seconds) => setText(this.#note, `Examining: ${seconds} s so far.`));
       this.#run.disabled = false;
       setText(this.#note, done?.message || (done ? "" : "The doctor gave no report."));
       if (done) this.#show(done.data.checks ?? []);
