@@ -214,11 +214,15 @@ def test_a_field_with_focus_is_not_overwritten(page, service):
     wait_for("the typed value", lambda: value(service, "motion.scale_x") == "3.2")
 
 
-def test_a_page_without_the_token_shows_and_changes_nothing(open_page):
+def test_a_page_without_the_token_shows_and_changes_nothing(open_page, service):
+    service.ask("set", assignments=["motion.scale_y=1.25"])
     page = open_page(owner=False)
     assert "only shows" in page.locator("#message").inner_text()
     wait_for("a locked field", field(page, "tune", "motion.scale_x").is_disabled)
-    assert page.get_by_role("button", name="Pause").is_disabled()
+    page.get_by_text("1 unsaved").wait_for()
+    assert all(page.locator(button).is_disabled() for button in ("#pause", "#undo", "#save", "#apply-profile"))
+    choose(page, "Expert")
+    assert all(page.locator(button).is_disabled() for button in ("#reset-all", "#import"))
     wait_for("the ball", lambda: pixels(page).max() > 100)
 
 

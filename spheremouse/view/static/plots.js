@@ -198,7 +198,7 @@ export class Plots {
     const rows = AXES.map((name, i) => [name, rate ? `${formatSigned((rate[i] ?? 0) * DEGREES)} °/s` : "–"]);
     rows.push(["σ", sigma ? `${(Math.max(...sigma) * DEGREES).toFixed(2)} °/s` : "–"]);
     if (status) {
-      rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "two"]);
+      rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "three"]);
       if (!status.balls) rows.push(["points", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "three"]);
       for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
       rows.push(["motion", status.motion?.words ?? "not known", "all"]);

@@ -55,9 +55,10 @@ export class TunePanel {
 
   #show() {
     for (const show of this.#shows) show();
-    const { undo, unsaved } = this.#settings;
-    this.#undo.disabled = undo === 0;
-    this.#save.disabled = unsaved.size === 0;
+    const { undo, unsaved, locked } = this.#settings;
+    this.#undo.disabled = locked || undo === 0;
+    this.#save.disabled = locked || unsaved.size === 0;
+    this.#apply.disabled = locked;
     setText(this.#undo, undo ? `Undo (${undo})` : "Undo");
     setText(this.#mark, unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
   }
@@ -74,6 +75,7 @@ export class ExpertPanel {
   #search = el("input", { type: "search", id: "search", placeholder: "Name or effect", autocomplete: "off" });
   #changed = el("input", { type: "checkbox", id: "changed-only" });
   #reset = el("button", { type: "button", id: "reset-all" }, "Reset all");
+  #import = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");
   #file = el("input", { type: "file", id: "import-file", accept: ".yaml,.yml,text/yaml", class: "unseen", tabindex: "-1",
     "aria-label": "File of settings" });
   #list = el("div", { class: "stages" });
@@ -84,11 +86,10 @@ export class ExpertPanel {
   constructor(/** @type {Settings} */ settings, /** @type {Act} */ perform) {
     this.#settings = settings;
     const exporting = el("button", { type: "button", id: "export", click: async () => download(await perform("export")) }, "Export");
-    const importing = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "search" }, "Search"), this.#search,
         el("label", { class: "check" }, this.#changed, "changed only")),
-      el("div", { class: "row" }, this.#reset, exporting, importing, this.#file), this.#count, this.#list);
+      el("div", { class: "row" }, this.#reset, exporting, this.#import, this.#file), this.#count, this.#list);
     this.#search.addEventListener("input", () => this.#show());
     this.#changed.addEventListener("change", () => this.#show());
     this.#reset.addEventListener("click", () => {
@@ -139,7 +140,8 @@ export class ExpertPanel {
       section.toggleAttribute("hidden", rows.every((row) => row.hasAttribute("hidden")));
     }
     const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
-    this.#reset.disabled = !changed.some((c) => this.#isReset(c.setting));
+    this.#import.disabled = this.#settings.locked;
+    this.#reset.disabled = this.#settings.locked || !changed.some((c) => this.#isReset(c.setting));
     setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
 }
