@@ -4,9 +4,12 @@ The smoother of Rauch, Tung and Striebel (1965) for rotation, rate and accelerat
 in Barfoot 2017, section 7.2. The motion is that of the default filter. Its map, the camera's pose and the ball are the
 same in all frames. Thus their errors do not average out: each smoothed covariance keeps the part that they explain.
 
-A player pushes the ball and leaves it alone. So the density of the jerk differs from frame to frame. A filter for each
-level of the default filter (Magill 1965) gives the likelihood of its innovations. The levels are a Markov chain, and
-its posterior given all frames (Rabiner 1989, section III) gives the mean density.
+A player pushes the ball and leaves it alone. So the density of the jerk differs from frame to frame. The levels of the
+default filter are a Markov chain. Filters for each level that interact (Blom, Bar-Shalom 1988) give their likelihoods,
+and the posterior given all frames (Rabiner 1989, section III) gives the mean density.
+
+The detector's covariances also cover errors of a disc's centre that last, which the map bears. The part that is new in
+each frame follows from the residuals within the frames, as a variance factor.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,6 +36,7 @@ from spheremouse.tracker import Estimate, Status
 
 _EXACT_AXES_SIGMA_RAD = 1e-6  # rad: the axes of a map without error
 _RIDGE_RAD2 = 1e-18  # rad²: parameters that are known exactly have no variance to invert
+_STATED_FREEDOM = 8.0  # degrees of freedom of the stated noise as prior: its variance is right within a half
 # Block of an estimate's covariance: rotation and its rate
 _ROTATION_AND_RATE = np.ix_((0, 1, 2, 6, 7, 8), (0, 1, 2, 6, 7, 8))
 
@@ -49,6 +53,8 @@ class Observation(NamedTuple):
     information: Array  # (9, 9); zero if the frame does not confirm the estimate
     score: Array  # (9,)
     shared: Array  # (6, 6) covariance of rotation and rate due to map, pose, ball and readout
+    squared_residual: float = 0.0  # chi-square of the residuals after a rotation of all discs in common
+    expected_residual: float = 0.0  # of that, if the stated noise is right
 
 
 def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: So3Filter) -> Observation:
@@ -56,7 +62,7 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
 
     The residuals have the covariance of the image noise and of each disc's place relative to the other discs.
     """
-    J, score = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM)
+    J, score, residual = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM), (0.0, 0.0)
     rows = state.used
     if estimate.confirmed and len(rows):
         cosine = points.direction[rows] @ state.attitude @ state.discs.T
@@ -66,10 +72,22 @@ def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: 
         H, _, z, S = kernels.innovation(
             exact.body, points.measurement(filter_.station.radius), rows, columns, np.zeros_like(J)
         )
-        S[np.diag_indices(len(S))] += np.repeat(state.map_sigma()[columns] ** 2, 2)
-        weighted = np.linalg.solve(S, H).T
-        J, score = weighted @ H, weighted @ z
-    return Observation(estimate, state.acceleration, J, score, _shared(state.joint))
+        by_map = np.repeat(state.map_sigma()[columns] ** 2, 2)
+        white = np.linalg.inv(np.linalg.cholesky(S + np.diag(by_map)))
+        H, z = white @ H, white @ z
+        J, score, residual = H.T @ H, H.T @ z, _residual(H, z, white @ np.diag(by_map) @ white.T)
+    return Observation(estimate, state.acceleration, J, score, _shared(state.joint), *residual)
+
+
+def _residual(H: Array, z: Array, by_map: Array) -> tuple[float, float]:
+    """Return the squared residual and its expectation after a rotation, from whitened H (n, 9) and z (n,).
+
+    The filter has corrected the discs by these points. So the covariance of z is the image noise less that of the
+    discs' places, `by_map` (n, n), whitened.
+    """
+    Q, _ = np.linalg.qr(H[:, :3])
+    rest = np.eye(len(z)) - Q @ Q.T
+    return float(z @ rest @ z), max(float(np.trace(rest) - 2.0 * np.sum(rest * by_map)), 0.0)
 
 
 def _shared(joint: Array) -> Array:
@@ -107,7 +125,7 @@ def smooth(observations: Iterable[Observation], settings: So3Settings) -> list[E
     result: list[Estimate] = []
     for interval in _intervals(observations):
         if interval[0].estimate.status is Status.TRACKING:
-            informed = _with_reference(interval)
+            informed = _with_reference(_with_variance_factor(interval))
             motions, gains = smooth_interval(informed, jerk_densities(informed, settings), settings)
             result += _estimates(informed, motions, gains)
         else:
@@ -125,6 +143,13 @@ def _intervals(observations: Iterable[Observation]) -> list[list[Observation]]:
             intervals.append([])
         intervals[-1].append(observation)
     return intervals
+
+
+def _with_variance_factor(interval: list[Observation]) -> list[Observation]:
+    """Return the interval with the noise that its residuals show: the stated one times a variance factor."""
+    squares = _STATED_FREEDOM + sum(o.squared_residual for o in interval)
+    factor = squares / (_STATED_FREEDOM + sum(o.expected_residual for o in interval))
+    return [o._replace(information=o.information / factor, score=o.score / factor) for o in interval]
 
 
 def _is_reference(observation: Observation) -> bool:
@@ -148,23 +173,61 @@ def _with_reference(interval: list[Observation]) -> list[Observation]:
 
 
 def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
-    """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval."""
+    """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval.
+
+    The variance of a rate grows as the square root of the density, so the mean is that of square roots. A jerk turns
+    the ball seven times as much in the next interval as in its own. So the level that a frame shows counts for both.
+    """
     dt = np.diff([o.estimate.stamp for o in observations])
     densities = 2.0 * activity_of(settings).variances / PERSISTENCE_S
-    L = np.stack([_filtered(observations, np.full(len(dt), d), settings)[2] for d in densities], axis=1)
-    E = np.exp(L - L.max(axis=1, keepdims=True))
     prior, stay = prior_of_levels(settings.levels), np.exp(-dt / DWELL_S)
-    forward, backward = np.empty_like(E), np.ones_like(E)
-    forward[0] = prior * E[0]
-    for k in range(1, len(E)):
-        forward[k] = (stay[k - 1] * forward[k - 1] + (1.0 - stay[k - 1]) * prior) * E[k]
-        forward[k] /= forward[k].sum()
-    for k in range(len(E) - 2, -1, -1):
-        later = E[k + 1] * backward[k + 1]
-        backward[k] = stay[k] * later + (1.0 - stay[k]) * (prior @ later)
-        backward[k] /= backward[k].sum()
-    weights = forward * backward
-    return (weights / weights.sum(axis=1, keepdims=True) @ densities)[1:]
+    changes = stay[:, None, None] * np.eye(len(prior)) + (1.0 - stay[:, None, None]) * prior
+    weights, likelihoods = _levels(observations, densities, changes, settings)
+    backward = np.ones(len(prior))
+    for k in range(len(dt) - 1, -1, -1):
+        backward = changes[k] @ (likelihoods[k + 1] * backward)
+        backward /= backward.sum()
+        weights[k] *= backward
+    weights /= weights.sum(axis=1, keepdims=True)
+    weights[:-1] = 0.5 * (weights[:-1] + weights[1:])
+    return np.square(weights[1:] @ np.sqrt(densities))
+
+
+def _levels(
+    observations: Sequence[Observation], densities: Array, changes: Array, settings: So3Settings
+) -> tuple[Array, Array]:
+    """Return probabilities of l levels given the frames so far, and likelihoods of each frame, both (n, l).
+
+    Each level's filter starts a frame from the mixture of all filters that may have changed to it (Blom, Bar-Shalom
+    1988). `changes` (n - 1, l, l) are probabilities from row to column.
+    """
+    start, _ = _updated(_start(observations[0], settings), observations[0])
+    modes, weights = [start] * len(densities), np.tile(prior_of_levels(settings.levels), (len(observations), 1))
+    likelihoods = np.ones_like(weights)
+    for k, observation in enumerate(observations[1:], 1):
+        dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
+        joint, informed = weights[k - 1][:, None] * changes[k - 1], bool(observation.information.any())
+        logarithms = np.empty(len(densities))
+        for level, mixed in enumerate(_mixed(modes, joint / joint.sum(axis=0))):
+            predicted, _ = _predicted(mixed, dt, densities[level], informed)
+            modes[level], logarithms[level] = _updated(predicted, observation)
+        likelihoods[k] = np.exp(logarithms - logarithms.max())
+        weights[k] = joint.sum(axis=0) * likelihoods[k]
+        weights[k] /= weights[k].sum()
+    return weights, likelihoods
+
+
+def _mixed(modes: Sequence[Motion], weights: Array) -> list[Motion]:
+    """Return the moments of l mixtures of m modes with `weights` (m, l)."""
+    centre = modes[0]
+    apart = np.array([centre.to(*mode[:3]) for mode in modes])
+    P = np.array([mode.covariance for mode in modes])
+    result = []
+    for w in weights.T:
+        mean = w @ apart
+        off = apart - mean
+        result.append(centre.moved(mean, np.tensordot(w, P, 1) + (w * off.T) @ off))
+    return result
 
 
 def smooth_interval(
@@ -177,7 +240,7 @@ def smooth_interval(
     (Rauch, Tung, Striebel 1965, eq. 3.30; on a manifold x' - x_p is the logarithm of the rotation between them).
     The covariance of two successive states is P' G'.
     """
-    filtered, predictions, _ = _filtered(observations, densities, settings)
+    filtered, predictions = _filtered(observations, densities, settings)
     motions, gains = [filtered[-1]], []
     for before, (predicted, cross) in zip(filtered[-2::-1], predictions[::-1], strict=True):
         after = motions[-1]
@@ -188,22 +251,25 @@ def smooth_interval(
     return motions[::-1], gains[::-1]
 
 
+def _start(observation: Observation, settings: So3Settings) -> Motion:
+    """Return the motion before the first frame of an interval."""
+    sigma = np.repeat([PLACED, 2.5 * settings.start_rate_sigma, usual_acceleration(settings)], 3)
+    return Motion(observation.estimate.rotation, np.zeros(3), np.zeros(3), np.diag(sigma**2))
+
+
 def _filtered(
     observations: Sequence[Observation], densities: Array, settings: So3Settings
-) -> tuple[list[Motion], list[tuple[Motion, Array]], Array]:
-    """Return n filtered motions, the n - 1 predictions with F P, (9, 9), and the log likelihoods, (n,)."""
-    start = observations[0].estimate
-    sigma = np.repeat([PLACED, 2.5 * settings.start_rate_sigma, usual_acceleration(settings)], 3)
-    predicted = Motion(start.rotation, np.zeros(3), np.zeros(3), np.diag(sigma**2))
-    motions, predictions, likelihoods = [], [], np.empty(len(observations))
+) -> tuple[list[Motion], list[tuple[Motion, Array]]]:
+    """Return n filtered motions, and the n - 1 predictions with F P, (9, 9)."""
+    predicted = _start(observations[0], settings)
+    motions, predictions = [], []
     for k, observation in enumerate(observations):
         if k:
             dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
             predicted, cross = _predicted(motions[-1], dt, densities[k - 1], bool(observation.information.any()))
             predictions.append((predicted, cross))
-        motion, likelihoods[k] = _updated(predicted, observation)
-        motions.append(motion)
-    return motions, predictions, likelihoods
+        motions.append(_updated(predicted, observation)[0])
+    return motions, predictions
 
 
 def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tuple[Motion, Array]:
