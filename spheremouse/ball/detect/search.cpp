@@ -38,6 +38,7 @@ struct Rejection {
 struct Search {
     int64_t turn;
     Common discs;
+    double sample_noise;
     std::vector<Rejection> rejected;
 };
 
@@ -52,7 +53,7 @@ struct Limits {
     bool clearly_darker(int value, int beside) const { return darker(value, beside) && value < beside - least; }
 };
 
-/// Values of the projection whose noise is known (`projection.sample_weights_of`): of grey, green alone.
+/// Values of the samples (`projection.sample_weights_of`): of grey, green alone.
 class Plane {
     const uint8_t* first_;
     size_t size_;  // from a pixel to the last one
@@ -197,8 +198,9 @@ void next_turn(Search& search, const Points& rejected, int reduction) {
 /// Search for discs away from the places `known`, and measure them.
 std::vector<Measured> find_new_discs(const Photo& photo, const DiscModel& model, const Lattice& lattice, Search& search,
                                      const Points& known) {
-    const double difference = 2.5 * photo.noise;
-    if (!(std::abs(model.fit.contrast) <= 2.0 && std::abs(difference) < 1e6 && std::abs(model.diameter) < 1e6))
+    const double difference = 2.5 * search.sample_noise;
+    if (!(std::abs(model.fit.contrast) <= 2.0 && std::abs(difference) < 1e6 && std::abs(photo.noise) < 1e6 &&
+          std::abs(model.diameter) < 1e6))
         throw nb::value_error("model: must have a finite diameter and noise, and a contrast up to 2");
     const Limits limits{int(256.0 * (1.0 - 0.5 * model.fit.contrast)), int(difference), 0.5 * model.diameter,
                         lattice.reduction};
@@ -233,7 +235,7 @@ Lattice read_lattice(nb::handle given, const Image& image) {
 /// Read a `search.SearchState`.
 Search read_search(const nb::tuple& given) {
     const auto scalar = [&](int i) { return number<double>(given[i], "search"); };
-    Search search{number<int64_t>(given[0], "search"), {scalar(2), scalar(4)}, {}};
+    Search search{number<int64_t>(given[0], "search"), {scalar(2), scalar(4)}, scalar(5), {}};
     const auto rejected = matrix<Dynamic, 4>(given[3], "rejected");
     if (search.turn < 0 || search.turn >= int64_t(1) << 53) throw nb::value_error("turn: must be from 0 to 2^53");
     for (nb::ssize_t i = 0; i < rejected.rows(); i++)
@@ -243,7 +245,7 @@ Search read_search(const nb::tuple& given) {
 
 nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle model_, nb::handle lattice_,
                        nb::handle search_, nb::handle motion_, nb::handle known_, size_t least) {
-    const nb::tuple given = members(search_, 5, "search");
+    const nb::tuple given = members(search_, 6, "search");
     Search search = read_search(given);
     const double noise = number<double>(given[1], "search");
     const auto [model, photo] = read_model(model_, image, noise);
@@ -268,8 +270,8 @@ nb::tuple follow_discs(nb::handle image, nb::handle directions_, nb::handle mode
         const Rejection& r = search.rejected[i];
         rejected[i] << r.place, r.until, r.wait;
     }
-    return to_numpy(found,
-                    nb::make_tuple(search.turn, noise, search.discs.size, rejected.array, search.discs.contrast));
+    return to_numpy(found, nb::make_tuple(search.turn, noise, search.discs.size, rejected.array, search.discs.contrast,
+                                          search.sample_noise));
 }
 
 }  // namespace

@@ -50,11 +50,12 @@ class SearchState(NamedTuple):
     """State of the search between frames."""
 
     turn: int = 0
-    noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
+    noise: float = 0.0  # grey values, of a pixel of the projection; 0: not measured yet
     size: float = 0.0  # fitted over expected, of all discs; 0: not known
     # (k, 4) places that were no discs, px, the turn before which each is left out, and for how many turns it was
     rejected: Array = np.zeros((0, 4))
     contrast: float = 0.0  # usual one of a disc, over the light of the lighter of disc and ball; 0: not known
+    sample_noise: float = 0.0  # grey values, of a pixel as the search reads it
 
 
 def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: int) -> Lattice:

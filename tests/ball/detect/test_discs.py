@@ -10,6 +10,8 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.projection import GREY
+from spheremouse.ball.detect.search import SearchState
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
@@ -62,6 +64,17 @@ def test_covariance_is_honest(noise):
     assert np.mean(nis) < 1.6 * high  # rounding, sampling and the lens are in neither
     if noise > 5:
         assert np.mean(nis) > 0.25 * 2.0
+
+
+@pytest.mark.parametrize(("alike", "share"), [(True, 1.0), (False, np.linalg.norm(GREY.weights))])
+def test_the_noise_is_that_of_the_grey_values_that_the_fit_reads(alike, share):
+    """Channels with noise of their own have less in grey than green has alone, which the search reads."""
+    noise = 6.0 * np.random.default_rng(4).normal(size=(*CLEAN.shape, 1 if alike else 3))
+    image = np.clip(np.rint(CLEAN[:, :, None] + noise), 0, 255).astype(np.uint8)
+    image = np.broadcast_to(image, (*CLEAN.shape, 3)).copy()
+    assert DETECTOR.noise(image) == pytest.approx(6.0 * share, rel=0.05)
+    _, state = DETECTOR.follow(image, SearchState())
+    assert (state.noise, state.sample_noise) == pytest.approx((6.0 * share, 6.0), rel=0.05)
 
 
 def slope(direction):

@@ -134,7 +134,7 @@ def test_a_search_is_that_of_the_twin(projection):
         grey = photo(CLEAN, rng.uniform(0.5, 4.0), turn)
         grey[rng.integers(150, 330, 6)] //= 2  # struts, which are no discs
         rejected = np.concatenate([rng.uniform(150.0, 480.0, (30, 2)), rng.integers(0, 40, (30, 2))], axis=1)
-        search, known = SearchState(turn, 1.0, 1.0, rejected), rng.uniform(150.0, 480.0, (6, 2))
+        search, known = SearchState(turn, 1.0, 1.0, rejected, sample_noise=1.0), rng.uniform(150.0, 480.0, (6, 2))
         samples, limits = DETECTOR.lattice.samples[turn % 4], (0.125, 2.5, 0.5 * model.diameter, 1)
         active = rejected[rejected[:, 2] > turn, :2]
         colours, plane = grey[:, :, None], grey
@@ -159,7 +159,7 @@ def test_a_search_is_that_of_the_twin(projection):
 
 def test_a_followed_disc_is_no_new_one():
     """The discs come first, and the search leaves them out; if there are too few, it waits."""
-    image, search = photo(CLEAN, 1.0)[:, :, None], SearchState(0, 1.0, 1.0)
+    image, search = photo(CLEAN, 1.0)[:, :, None], SearchState(0, 1.0, 1.0, sample_noise=1.0)
     model = DETECTOR.model, DETECTOR.lattice.of_turn(0), search, AT_REST, NOWHERE
     followed, *_, state = kernels.follow_discs(image, DISCS[:9], *model, 10)
     assert len(followed) == 9
@@ -199,6 +199,7 @@ def test_a_wrong_argument_is_named():
         (whole[:2], SearchState(), TypeError, "lattice"),
         (whole, SearchState(-1), ValueError, "turn"),
         (whole, SearchState(noise=np.nan), ValueError, "noise"),
+        (whole, SearchState(sample_noise=np.nan), ValueError, "noise"),
         (whole, SearchState(rejected=places), TypeError, "rejected"),
     ]:
         with pytest.raises(error, match=name):
