@@ -50,21 +50,24 @@ class Observation(NamedTuple):
 
     estimate: Estimate
     acceleration: Array  # (3,) rad/s², angular, obj
-    information: Array  # (9, 9); zero if the frame does not confirm the estimate
+    information: Array  # (9, 9); zero without discs in their places
     score: Array  # (9,)
     shared: Array  # (6, 6) covariance of rotation and rate due to map, pose, ball and readout
     squared_residual: float = 0.0  # chi-square of the residuals after a rotation of all discs in common
     expected_residual: float = 0.0  # of that, if the stated noise is right
 
 
-def observe(estimate: Estimate, state: So3State, points: SpherePoints, filter_: So3Filter) -> Observation:
+def observe(
+    estimate: Estimate, state: So3State, points: SpherePoints, filter_: So3Filter, ambiguous: bool = False
+) -> Observation:
     """Return the information of a frame's `points` about the motion, given the filter's state and estimate after it.
 
+    A frame that is `ambiguous`, since other attitudes are possible, informs only if it confirms the estimate.
     The residuals have the covariance of the image noise and of each disc's place relative to the other discs.
     """
     J, score, residual = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)), np.zeros(KINEMATIC_DIM), (0.0, 0.0)
     rows = state.used
-    if estimate.confirmed and len(rows):
+    if len(rows) and (estimate.confirmed or not ambiguous):
         cosine = points.direction[rows] @ state.attitude @ state.discs.T
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
@@ -175,8 +178,8 @@ def _with_reference(interval: list[Observation]) -> list[Observation]:
 def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -> Array:
     """Return the mean density of the white jerk, (n - 1,) (rad/s³)² s per axis, between n frames of one interval.
 
-    The variance of a rate grows as the square root of the density, so the mean is that of square roots. A jerk turns
-    the ball seven times as much in the next interval as in its own. So the level that a frame shows counts for both.
+    A jerk turns the ball seven times as much in the next interval as in its own. So the level that a frame shows counts
+    for both.
     """
     dt = np.diff([o.estimate.stamp for o in observations])
     densities = 2.0 * activity_of(settings).variances / PERSISTENCE_S
@@ -190,7 +193,7 @@ def jerk_densities(observations: Sequence[Observation], settings: So3Settings) -
         weights[k] *= backward
     weights /= weights.sum(axis=1, keepdims=True)
     weights[:-1] = 0.5 * (weights[:-1] + weights[1:])
-    return np.square(weights[1:] @ np.sqrt(densities))
+    return weights[1:] @ densities
 
 
 def _levels(

@@ -69,7 +69,8 @@ class History:
         """Return the history with the estimates of the fixed-interval smoother in place of the filter's."""
         filters = [current(e.state, tracker).filter for e in self.epochs]
         seen = [
-            observe(e.estimate, e.state.filter, e.state.points, f) for e, f in zip(self.epochs, filters, strict=True)
+            observe(e.estimate, e.state.filter, e.state.points, f, ambiguous=bool(e.state.alternatives))
+            for e, f in zip(self.epochs, filters, strict=True)
         ]
         estimates = smooth(seen, tracker.settings.so3)
         return History([replace(e, estimate=s) for e, s in zip(self.epochs, estimates, strict=True)])

@@ -271,3 +271,15 @@ def test_the_expected_residual_of_a_frame_is_its_mean():
             o = observe(estimated(k, state.attitude, state.rate), state, points, OWN)
             squares, expected = squares + o.squared_residual, expected + o.expected_residual
     assert_allclose(squares, expected, rtol=0.1)
+
+
+def test_an_unconfirmed_frame_informs_unless_it_is_ambiguous():
+    """The filter's attitude may be too uncertain to report, though its pairs are right."""
+    rng, state = np.random.default_rng(16), OWN.initial(0.0, np.eye(3))
+    for k in range(3):
+        points = points_at(seen(np.eye(3)), rng=rng)
+        state = OWN.update(OWN.predict(state, k * DT), points)
+    for confirmed, ambiguous in ((True, True), (True, False), (False, True), (False, False)):
+        o = observe(estimated(2, state.attitude, state.rate, confirmed=confirmed), state, points, OWN, ambiguous)
+        assert o.information.any() == (confirmed or not ambiguous)
+        assert (o.squared_residual > 0.0) == (confirmed or not ambiguous)

@@ -187,7 +187,8 @@ class BallAdapter(TrackerAdapter):
         tracker, epoch = self.tracker, tracked.epoch
         if tracker is None or self.settings.tracker != "so3":
             return None
-        return observe(epoch.estimate, epoch.state.filter, epoch.state.points, tracker.filter)
+        state, ambiguous = epoch.state, bool(epoch.state.alternatives)
+        return observe(epoch.estimate, state.filter, state.points, tracker.filter, ambiguous)
 
     def take_messages(self) -> LogMessages:
         return LogMessages(self._messages.take())
