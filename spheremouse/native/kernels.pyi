@@ -270,8 +270,9 @@ def measure_places(
 
 def follow_discs(
     image: _Byte, directions: _Float, model: tuple[object, ...], lattice: tuple[object, ...],
-    search: tuple[int, float, float, _Float, float], motion: tuple[_Float, float, float], known: _Float, least: int,
-) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float, float]]:  # fmt: skip
+    search: tuple[int, float, float, _Float, float, float], motion: tuple[_Float, float, float], known: _Float,
+    least: int,
+) -> tuple[_Float, _Float, _Float, tuple[int, float, float, _Float, float, float]]:  # fmt: skip
     """Return centres, covariances and areas of the discs in an image (h, w, c), and a `search.SearchState`.
 
     `DiscDetector.follow` describes it. `model` is a `windows.DiscModel`, and `lattice` is `Lattice.of_turn`. Raises
