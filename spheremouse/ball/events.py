@@ -115,6 +115,11 @@ class AxisUnseen(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class PatternRepeats(Event):
+    """The ball looks the same at several attitudes, so a lost one is not recognised."""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraMoved(Event):
     """The camera has a new pose."""
 

@@ -19,6 +19,7 @@ _Ball = (
     events.Found
     | events.Turned
     | events.AxisUnseen
+    | events.PatternRepeats
     | events.Recognised
     | BallLost
     | events.MotionWithheld
@@ -161,6 +162,8 @@ def sentence(event: Event, words: Words) -> str:
                 "the pattern shows no turn about one axis, as stripes do, so motion about it is not measured: add "
                 "spots of many sizes"
             )
+        case events.PatternRepeats():
+            return "the pattern repeats itself, so a lost ball gets a new map: add a few spots that differ"
         case events.CameraMoved(path, turn, asked):
             prefix = "" if asked else "the camera was moved: "
             return f"{prefix}new pose ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"

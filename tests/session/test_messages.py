@@ -43,6 +43,7 @@ SENTENCES = {
         "many sizes"
     ),
     events.AxisUnseen(ended=True): "the pattern shows turns about all axes again",
+    events.PatternRepeats(): "the pattern repeats itself, so a lost ball gets a new map: add a few spots that differ",
     events.DiscColours((0.114, 0.587, 0.299)): "the discs are darker than the ball",
     events.DiscColours((-0.114, -0.587, -0.299)): "the discs are lighter than the ball",
     events.DiscColours((-0.5, 0.0, 0.5)): (

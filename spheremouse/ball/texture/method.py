@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.events import AxisUnseen, Found, NewMap, Recognised, Turned
+from spheremouse.ball.events import AxisUnseen, Found, NewMap, PatternRepeats, Recognised, Turned
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import confirms
@@ -63,10 +63,12 @@ from spheremouse.ball.texture.search import (
     Level,
     TextureDetector,
     TextureState,
+    compared_with_itself,
     fits,
     is_ambiguous,
     near,
     search,
+    significance,
 )
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.native import kernels
@@ -120,6 +122,7 @@ def detect_texture(
         now = now._replace(unseen=now.unseen + _RECENT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
             now = _with_usual(now, alignment)
+            now = compared_with_itself(detector, now, alignment) if now.turned else now
     elif _details(now) < _PLAIN * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
     found, anchors = _detections(detector.fine, alignment, tracker, predicted)
@@ -135,6 +138,7 @@ def _with_usual(now: TextureState, alignment: Alignment) -> TextureState:
     return now._replace(
         usual=now.usual + _RECENT * (alignment.correlation - now.usual),
         usual_scale=scale + _RECENT * (alignment.scale - scale),
+        usual_significance=now.usual_significance + _RECENT * (significance(alignment) - now.usual_significance),
         details=now.details + _RECENT * (_details(now) - now.details),
     )
 
@@ -348,16 +352,18 @@ def _next_phase(
         case Learning(found=False):
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
-    return _with_axis_reported(_followed(state, stamp, tracker, predicted))
+    return _with_faults_reported(_followed(state, stamp, tracker, predicted))
 
 
-def _with_axis_reported(state: TrackState[So3State]) -> tuple[TrackState[So3State], Events]:
-    """Return the state and an event if frames begin to show no rotation about some axis, or show it again."""
+def _with_faults_reported(state: TrackState[So3State]) -> tuple[TrackState[So3State], Events]:
+    """Return the state and events on faults of the pattern: it shows no rotation about some axis, or repeats itself."""
     now: TextureState = state.search
-    lacks = now.unseen > (_AXIS_SEEN if now.lacks_axis else _AXIS_UNSEEN)
-    if lacks == now.lacks_axis:
-        return state, ()
-    return state._replace(search=now._replace(lacks_axis=lacks)), (AxisUnseen(ended=not lacks),)
+    lacked, repeated = now.reported
+    lacks = now.unseen > (_AXIS_SEEN if lacked else _AXIS_UNSEEN)
+    events = (AxisUnseen(ended=not lacks),) if lacks != lacked else ()
+    if now.repeats and not repeated:
+        events = (*events, PatternRepeats())
+    return state._replace(search=now._replace(reported=(lacks, now.repeats))), events
 
 
 def _not_recognised(

@@ -111,7 +111,7 @@ class PictureMap:
         """Compare with another picture in any frame. Return None if they show no sign of the same ball."""
         correlation = partial(kernels.correlate_texture, _samples(self.coarse, _SAMPLES[1]), other.coarse[:2])
         for part in range(FRAMES_PER_SEARCH):
-            for attitude in best_attitudes(correlation, attitudes_of_part(part)):
+            for attitude in best_attitudes(correlation, attitudes_of_part(part, FRAMES_PER_SEARCH)):
                 found = self.compare_at(other, attitude.T)
                 if found.same_ball:
                     return found
@@ -138,12 +138,15 @@ class PictureMap:
 
 
 def to_map(state: TrackState[So3State]) -> PictureMap | None:
-    """Return the picture to save; None before the ball has turned, or while its attitude on a saved one is unknown."""
+    """Return the picture to save; None if it identifies no attitude.
+
+    That is before the ball has turned, while its attitude on a saved picture is unknown, and if it repeats itself.
+    """
     now = state.search
     if isinstance(state.phase, Recognising) or not isinstance(now, TextureState) or not now.turned:
         return None
     parts = so3_map.to_map(state.filter, SURE)
-    if parts is None or now.usual == 0.0:
+    if parts is None or now.usual == 0.0 or now.repeats:
         return None
     details = now.details / max(len(now.coarse.seen.least), 1)
     return PictureMap(now.fine.picture, now.coarse.picture, parts, now.noise, now.usual, details)

@@ -41,18 +41,20 @@ from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 _COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
 LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
 _SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
-# A wrong attitude fits some details by chance. So a search must find so much of the usual correlation, and residuals up
-# to so many times the usual ones. A hand or blur may make them larger near the prediction.
-_USUAL, _USUAL_SCALE, _MOST_SCALE = 0.7, 1.6, 2.5
+# A wrong attitude fits some details by chance. So a search must find so much of the usual correlation and of its
+# significance, and residuals up to so many times the usual ones. A hand or blur may make them larger near a prediction.
+_USUAL, _SURE, _USUAL_SCALE, _MOST_SCALE = 0.7, 0.4, 1.6, 2.5
 _CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 # rad, of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
 _STEP = float(np.radians(2.7))
 _AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
-_RIVAL = float(np.radians(6.0))  # rad, apart are two attitudes of a pattern that repeats itself
+# rad, apart are two attitudes of a pattern that repeats itself; part of the significance that both have
+_RIVAL, _EQUAL = float(np.radians(6.0)), 0.7
 _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples
 _BEST = 4  # attitudes of a search from which an alignment starts
 FRAMES_PER_SEARCH = 64  # of all attitudes: each frame tries another part of them
+FRAMES_PER_COMPARISON = 4096  # of the ball with itself: two minutes
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +132,12 @@ class TextureState(NamedTuple):
     searched: bool = False  # it was not near the prediction
     usual: float = 0.0  # correlation of the frames that fitted near their predictions
     usual_scale: float = np.inf  # of the residuals of these frames, in standard deviations; inf: none since the start
+    usual_significance: float = 0.0  # of their correlation
     details: float = 0.0  # coarse samples of these frames that showed a detail
+    compared: int = 0  # parts of all attitudes at which the ball was compared with itself
+    repeats: bool = False  # it looks the same at another attitude
     unseen: float = 0.0  # share of recent frames that showed no rotation about some axis
-    lacks_axis: bool = False  # events have reported that
+    reported: tuple[bool, bool] = (False, False)  # by events: frames show no rotation about some axis; `repeats`
     last_plain_stamp: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
@@ -151,8 +156,11 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
 def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
     """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere.
 
-    For a ball that is `lost`, this includes a part of all attitudes. `attitude` is None if nothing is known of it.
+    For a ball that is `lost`, this includes a part of all attitudes. If it repeats itself, there is no search.
+    `attitude` is None if nothing is known of it.
     """
+    if lost and now.repeats:
+        return None
     for start in _start_attitudes(detector, now, attitude, lost):
         found = _fit_from(detector, now, start)
         if found is not None:
@@ -167,7 +175,7 @@ def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Ali
         return None
     found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
     usual = found.correlation > _USUAL * now.usual and found.scale < _USUAL_SCALE * now.usual_scale
-    return found if fits(found) and usual else None
+    return found if fits(found) and usual and significance(found) > _SURE * now.usual_significance else None
 
 
 def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:
@@ -178,13 +186,33 @@ def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment)
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
     for grid in _GRIDS:
         turns = grid[np.linalg.norm(log(grid) @ found.known, axis=1) > _RIVAL]
-        for start in best_attitudes(correlation, turns @ found.attitude):
-            other = _fit_from(detector, now, start)
-            if other is None or significance(found) - significance(other) > _SIGNIFICANT:
-                continue
-            if np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _RIVAL:
-                return True
+        if any(_is_rival(detector, now, found, start) for start in best_attitudes(correlation, turns @ found.attitude)):
+            return True
     return False
+
+
+def compared_with_itself(detector: TextureDetector, now: TextureState, found: Alignment) -> TextureState:
+    """Return the state after a frame was compared with the picture at a part of all other attitudes.
+
+    If the ball looks the same there, it repeats itself as a football does. Then no frame identifies a lost ball.
+    """
+    if now.repeats or now.compared == FRAMES_PER_COMPARISON:
+        return now
+    turns = attitudes_of_part(now.compared, FRAMES_PER_COMPARISON)
+    attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _RIVAL]
+    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    glanced = np.argsort(-correlation(attitudes, _GLANCE))[:_BEST]
+    likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCHED) > LEAST_CORRELATION]
+    repeats = any(_is_rival(detector, now, found, start) for start in likely)
+    return now._replace(compared=now.compared + 1, repeats=repeats)
+
+
+def _is_rival(detector: TextureDetector, now: TextureState, found: Alignment, start: Array) -> bool:
+    """Return whether a frame that fits at an attitude fits as well at another one, near `start`."""
+    other = _fit_from(detector, now, start)
+    if other is None or significance(other) < _EQUAL * significance(found):
+        return False
+    return bool(np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _RIVAL)
 
 
 def fits(alignment: Alignment) -> bool:
@@ -212,7 +240,7 @@ def _start_attitudes(
         for turns in _GRIDS:
             yield from best_attitudes(correlation, turns @ attitude)
     if lost:
-        yield from best_attitudes(correlation, attitudes_of_part(now.frame_index))
+        yield from best_attitudes(correlation, attitudes_of_part(now.frame_index, FRAMES_PER_SEARCH))
 
 
 def best_attitudes(correlation: Callable[[Array, int], Array], attitudes: Array) -> Array:
@@ -231,14 +259,14 @@ def _grid(least: float, most: float) -> Array:
     return exp(v[(length > least) & (length <= most)].astype(np.float64))
 
 
-def attitudes_of_part(frame_index: int) -> Array:
-    """Return a part of all rotations, (n, 3, 3): `FRAMES_PER_SEARCH` frames in a row have them all.
+def attitudes_of_part(part: int, parts: int) -> Array:
+    """Return one of so many parts, counted on and on, of all rotations, (n, 3, 3).
 
     The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
     About each the ball turns by equal steps.
     """
     n, m = round(4.0 * np.pi / _STEP**2), round(2.0 * np.pi / _STEP)
-    k = np.arange(frame_index % FRAMES_PER_SEARCH, n, FRAMES_PER_SEARCH)
+    k = np.arange(part % parts, n, parts)
     height, longitude = 1.0 - (2.0 * k + 1.0) / n, k * np.pi * (3.0 - 5.0**0.5)
     tilt = np.arccos(height)[:, None] * np.stack([-np.sin(longitude), np.cos(longitude), np.zeros(len(k))], axis=1)
     about = exp(np.arange(m)[:, None] * 2.0 * np.pi / m * np.array([0.0, 0.0, 1.0]))

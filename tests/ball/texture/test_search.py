@@ -5,7 +5,15 @@ import pytest
 
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.picture import Alignment, align, shows_all_axes
-from spheremouse.ball.texture.search import fits, is_ambiguous, near, search, texture_detector
+from spheremouse.ball.texture.search import (
+    FRAMES_PER_COMPARISON,
+    compared_with_itself,
+    fits,
+    is_ambiguous,
+    near,
+    search,
+    texture_detector,
+)
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import exp, log
 from tests.ball.texture.painted import DETECTOR, NOISE, POSE, RIG, contrast_at, plain, rings, state_at, waves
@@ -104,14 +112,14 @@ def test_a_texture_of_rings_tells_nothing_of_the_turn_about_their_axis():
     assert shows_all_axes(align(DETECTOR.fine, now.fine.seen, now.fine.picture, np.eye(3), NOISE))
 
 
+def repeated(view, x):
+    """A contrast that is the same after a turn of 20° about z."""
+    longitude = np.arctan2(x[:, 1], x[:, 0])
+    return 0.05 * np.sin(18.0 * longitude) * np.sqrt(1.0 - x[:, 2] ** 2) + 0.05 * np.sin(14.0 * x[:, 2])
+
+
 def test_a_pattern_that_repeats_itself_is_found_nowhere_unless_by_its_prediction():
-    """Its contrast is the same after a turn of 20° about z, since it is a sum of waves of that period."""
     rng = np.random.default_rng(9)
-
-    def repeated(view, x):
-        longitude = np.arctan2(x[:, 1], x[:, 0])
-        return 0.05 * np.sin(18.0 * longitude) * np.sqrt(1.0 - x[:, 2] ** 2) + 0.05 * np.sin(14.0 * x[:, 2])
-
     now = state_at(repeated, np.eye(3), rng)._replace(usual=0.9)
     for turn in (0.0, 0.02):
         fit, turns = near(DETECTOR, now, exp(np.array([0.0, 0.0, turn])))
@@ -123,6 +131,21 @@ def test_a_pattern_that_repeats_itself_is_found_nowhere_unless_by_its_prediction
     fit, _ = near(DETECTOR, once, np.eye(3))
     assert fit is not None
     assert not is_ambiguous(DETECTOR, once, fit)
+
+
+@pytest.mark.parametrize(("texture", "expected"), [(repeated, True), (waves(0), False)], ids=["repeated", "once"])
+def test_a_ball_is_compared_with_itself_at_all_attitudes(texture, expected):
+    rng = np.random.default_rng(10)
+    now = state_at(texture, np.eye(3), rng)._replace(usual=0.9)
+    fit, _ = near(DETECTOR, now, np.eye(3))
+    assert fit is not None
+    for part in range(0, FRAMES_PER_COMPARISON, 16):
+        now = compared_with_itself(DETECTOR, now._replace(compared=part), fit)
+        assert now.repeats or now.compared == part + 1
+    assert now.repeats == expected
+    seen = state_at(texture, random_turn(rng, 100.0), rng)._replace(usual=0.9, repeats=now.repeats)
+    found = [search(DETECTOR, seen._replace(frame_index=k), None, lost=True) for k in range(PARTS)]
+    assert any(found) != expected
 
 
 @pytest.mark.parametrize(("part", "pattern"), [(0.5, plain), (0.6, waves(200))], ids=["hand", "sleeve"])
