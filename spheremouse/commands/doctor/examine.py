@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse import capture, output
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.projection import GREY, sample_weights_of
+from spheremouse.ball.detect.projection import GREY, weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.capture.nodes import Node, nodes
 from spheremouse.commands.doctor import camera as cameras
@@ -212,9 +212,7 @@ def _noise(footage: cameras.Footage, seen: sight.Sight | None) -> float:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]
     return float(
-        np.median(
-            [kernels.noise_of(i, sample_weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images]
-        )
+        np.median([kernels.noise_of(i, weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images])
     )
 
 
