@@ -226,8 +226,8 @@ class _Browser:
         except SpheremouseError as e:
             self._refuse(message.id, e)
         except Exception as e:  # else the browser would wait for an answer
-            print(internal_error_text(), file=sys.stderr)
             self._answer("trouble", message.id, text=internal_error(e))
+            print(internal_error_text(), file=sys.stderr)
         finally:
             work.cancel()
 
