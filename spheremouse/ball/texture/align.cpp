@@ -21,7 +21,7 @@ constexpr size_t FEW = 2000;    // samples of which some show the way
 constexpr size_t MEDIAN_OF = 2000;  // residuals: their scale has a standard deviation of 2 %
 constexpr float FAR = 3.8f;         // standard deviations: 95 % efficiency for normal errors
 constexpr int MOST_ANCHORS = 1 << 12;
-constexpr float SMOOTH = 0.06f;  // variance of a slope by noise over that of two pixels: means of pixels are smooth
+constexpr float SMOOTH = 0.1f;  // variance of a slope by noise over that of two pixels: means of pixels are smooth
 
 /// The residuals' model.
 struct Errors {

@@ -80,7 +80,7 @@ _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have 
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
 _MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
-_EVERY = 4  # frames, of which one is learnt and another weighed: neighbours in time show the same
+_EVERY = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
 _LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
 _RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
 _FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
@@ -122,7 +122,8 @@ def detect_texture(
         now = now._replace(unseen=now.unseen + _RECENT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
             now = _with_usual(now, alignment)
-            now = compared_with_itself(detector, now, alignment) if now.turned else now
+            if now.turned and now.frame_index % _EVERY == _EVERY - 1:
+                now = compared_with_itself(detector, now, alignment)
     elif _details(now) < _PLAIN * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
     found, anchors = _detections(detector.fine, alignment, tracker, predicted)

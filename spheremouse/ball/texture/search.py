@@ -54,7 +54,7 @@ _SEARCHED, _GLANCE = 200, 50  # samples
 _FEW = 1000  # attitudes that are looked at with all samples
 _BEST = 4  # attitudes of a search from which an alignment starts
 FRAMES_PER_SEARCH = 64  # of all attitudes: each frame tries another part of them
-FRAMES_PER_COMPARISON = 4096  # of the ball with itself: two minutes
+PARTS_OF_COMPARISON = 4096  # of the ball with itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +196,9 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
 
     If the ball looks the same there, it repeats itself as a football does. Then no frame identifies a lost ball.
     """
-    if now.repeats or now.compared == FRAMES_PER_COMPARISON:
+    if now.repeats or now.compared == PARTS_OF_COMPARISON:
         return now
-    turns = attitudes_of_part(now.compared, FRAMES_PER_COMPARISON)
+    turns = attitudes_of_part(now.compared, PARTS_OF_COMPARISON)
     attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _RIVAL]
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
     glanced = np.argsort(-correlation(attitudes, _GLANCE))[:_BEST]

@@ -6,7 +6,7 @@ import pytest
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.picture import Alignment, align, shows_all_axes
 from spheremouse.ball.texture.search import (
-    FRAMES_PER_COMPARISON,
+    PARTS_OF_COMPARISON,
     compared_with_itself,
     fits,
     is_ambiguous,
@@ -139,7 +139,7 @@ def test_a_ball_is_compared_with_itself_at_all_attitudes(texture, expected):
     now = state_at(texture, np.eye(3), rng)._replace(usual=0.9)
     fit, _ = near(DETECTOR, now, np.eye(3))
     assert fit is not None
-    for part in range(0, FRAMES_PER_COMPARISON, 16):
+    for part in range(0, PARTS_OF_COMPARISON, 16):
         now = compared_with_itself(DETECTOR, now._replace(compared=part), fit)
         assert now.repeats or now.compared == part + 1
     assert now.repeats == expected

@@ -6,7 +6,7 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.geometry.rotation import exp, tangent_basis
 
 HALF, TILE = 1.1, 8
-SMOOTH = 0.06
+SMOOTH = 0.1
 LEAST_WEIGHT, STATIC_ODDS, YOUNG, FAR, FACING = 0.08, -3.0, 3.0, 3.8, 0.3
 
 
