@@ -162,7 +162,7 @@ WIDE void add(const Residuals& r, const int64_t* anchor_of, Sums* by_anchor) {
 struct KnownAxes {
     Matrix<3> projection = Matrix<3>::Zero();
     Matrix<3> inverse = Matrix<3>::Zero();  // of the information, 0 about the others
-    double tilt = 0.0;                      // rad, of the unknown axes, by errors of the picture
+    double tilt = 0.0;  // rad, of the unknown axes, by errors of the picture that all its pixels share
 
     KnownAxes() = default;
     KnownAxes(const Matrix<3>& H, const Matrix<3>& feigned) {
@@ -173,7 +173,7 @@ struct KnownAxes {
         }
         const Matrix<3> shown = projection * H * projection, others = Matrix<3>::Identity() - projection;
         inverse = (shown + H.trace() * others).inverse() - others / H.trace();
-        tilt = (others * feigned).trace() * inverse.trace();
+        tilt = std::sqrt(std::max((others * feigned).trace() * inverse.trace(), 0.0));
     }
 };
 

@@ -303,7 +303,7 @@ def _detections(
         return no_detections(), np.zeros(0, dtype=np.intp)
     facing = tracker.filter.station.towards, tracker.filter.station.horizon
     unseen = float(np.sum(predicted.joint[:3, :3] * (np.eye(3) - alignment.known)))  # rad², about unknown axes
-    tilted = alignment.tilt * max(unseen, 0.0) ** 0.5
+    tilted = alignment.tilt * (max(unseen, 0.0) * DETAIL / alignment.used) ** 0.5
     errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel, tilted), view_of(view.rig, view.pose)
     place, covariance, which = kernels.anchor_points(
         view.anchors,
