@@ -17,9 +17,10 @@ constexpr int MOST = 6000;      // independent pixels: the contrasts of neighbou
 constexpr int MOST_ROUNDS = 6;  // with some samples, and with all
 constexpr float YOUNG = 3.0f;   // views: the place of a cell with few follows the frames that taught it
 constexpr double NEAR = 2e-4;   // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
-constexpr size_t FEW = 2000;    // samples of which some show the way
-constexpr size_t MEDIAN_OF = 2000;  // residuals: their scale has a standard deviation of 2 %
-constexpr float FAR = 3.8f;         // standard deviations: 95 % efficiency for normal errors
+constexpr double NEAR_SQUARED = 0.1;  // of a step over its covariance: a third of a standard deviation is near, too
+constexpr size_t FEW = 2000;          // samples of which some show the way
+constexpr size_t MEDIAN_OF = 2000;    // residuals: their scale has a standard deviation of 2 %
+constexpr float FAR = 3.8f;           // standard deviations: 95 % efficiency for normal errors
 constexpr int MOST_ANCHORS = 1 << 12;
 constexpr float SMOOTH = 0.1f;  // variance of a slope by noise over that of two pixels: means of pixels are smooth
 
@@ -233,7 +234,7 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
             if (!r.dx.allFinite() || !(r.known.projection.trace() > 0.5)) break;
             r.correlation = whole.correlation();
             r.R = r.R * exp(r.dx * std::min(1.0, 0.1 / r.dx.norm()));
-            r.converged = r.dx.cwiseAbs().maxCoeff() < NEAR;
+            r.converged = r.dx.cwiseAbs().maxCoeff() < NEAR || r.dx.dot(whole.H() * r.dx) < NEAR_SQUARED;
             if (r.converged) break;
         }
     }
