@@ -58,6 +58,7 @@ from spheremouse.ball.texture.picture import (
 )
 from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
 from spheremouse.ball.texture.search import (
+    CLEAR,
     FRAMES_PER_SEARCH,
     Lesson,
     Level,
@@ -129,7 +130,8 @@ def detect_texture(
     found, anchors = _detections(detector.fine, alignment, tracker, predicted)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
-        proven = _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
+        clear = significance(alignment) > CLEAR  # else no search would find a lost ball
+        proven = clear and _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
     return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven)
 
 

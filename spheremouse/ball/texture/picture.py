@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.projection import GREY, weights_of
+from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.chart import Chart, Resampling
 from spheremouse.geometry.camera import Pose
@@ -294,10 +294,13 @@ def with_doubtful(seen: Seen) -> Seen:
 
 
 def grain_of(resampling: Resampling, image: Image) -> float:
-    """Return the standard deviation of the grey values of a chart by the noise of an image."""
+    """Return the standard deviation of the grey values of a chart by the noise of green in an image.
+
+    Grey has less. With that, a hand on a ball with a faint pattern would pass for a ball that turns.
+    """
     colours = np.ascontiguousarray(image if image.ndim == 3 else image[:, :, None])
     rows, columns = resampling.window
-    weights = weights_of(GREY, colours.shape[2])
+    weights = sample_weights_of(GREY, colours.shape[2])
     noise = kernels.noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
     return float(np.hypot(noise / resampling.width, _ROUNDING))
 

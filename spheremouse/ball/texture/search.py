@@ -40,7 +40,9 @@ from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
 _COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
 LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
-_SIGNIFICANT = 6.0  # standard deviations of the correlation of independent pictures
+# standard deviations of the correlation of independent pictures: near a prediction, by a search of many attitudes, and
+# of a pattern that a search can find while half of it is covered
+_SIGNIFICANT, _SEARCH_SIGNIFICANT, CLEAR = 6.0, 9.0, 12.0
 # A wrong attitude fits some details by chance. So a search must find so much of the usual correlation and of its
 # significance, and residuals up to so many times the usual ones. A hand or blur may make them larger near a prediction.
 _USUAL, _SURE, _USUAL_SCALE, _MOST_SCALE = 0.7, 0.4, 1.6, 2.5
@@ -175,7 +177,8 @@ def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Ali
         return None
     found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
     usual = found.correlation > _USUAL * now.usual and found.scale < _USUAL_SCALE * now.usual_scale
-    return found if fits(found) and usual and significance(found) > _SURE * now.usual_significance else None
+    least = max(_SEARCH_SIGNIFICANT, _SURE * now.usual_significance)
+    return found if fits(found) and usual and significance(found) > least else None
 
 
 def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:
