@@ -165,7 +165,7 @@ class So3Filter:
 
         `seen` (3, 3) projects vectors in `obj` to the other axes. The components of attitude, rate and acceleration
         about unseen axes are considered, not estimated (Schmidt 1966). Rate and acceleration tend to those of an
-        unknown player (Singer 1970).
+        unknown player, as Singer (1970) has it for the acceleration.
         """
         unseen, joint = np.eye(3) - seen, state.joint.copy()
         every, usual = np.kron(np.eye(3), unseen), usual_acceleration(self.settings)
@@ -181,7 +181,7 @@ class So3Filter:
         for k, (part, sigma) in enumerate(zip(kept, (self.settings.start_rate_sigma, usual), strict=True)):
             at = slice(3 * k + 3, 3 * k + 6)
             fade[at, at] -= (1.0 - part) * unseen
-            joint[at, at] += (part**-2 - 1.0) * sigma**2 * unseen
+            joint[at, at] += (part**-2 - 1.0) * sigma**2 * unseen  # after `fade`: (1 - part²) sigma²
         dx[3:6] = unseen @ (kept[0] * predicted.rate - state.rate)
         dx[6:9] = unseen @ (kept[1] * predicted.acceleration - state.acceleration)
         joint[:KINEMATIC_DIM] = fade @ joint[:KINEMATIC_DIM]

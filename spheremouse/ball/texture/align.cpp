@@ -47,7 +47,7 @@ class Residuals {
     std::vector<float> z, value, contrast, variance;
     std::vector<float> square;            // z² / variance
     std::vector<float> by_x, by_y, by_z;  // of the picture's value by a rotation of the ball, in axes of the ball
-    std::vector<float> feigned;           // variance of these by errors of the picture, per axis across the view
+    std::vector<float> feigned;           // variance of these by errors of the picture, per axis across the direction
     std::vector<float> share, weight;     // of Geman and McClure's: 0 to 1; by variance
     std::vector<float> mild;              // weight by the root of the share: for the correlation
     std::vector<int> tile;                // of the picture
@@ -163,7 +163,7 @@ WIDE void add(const Residuals& r, const int64_t* anchor_of, Sums* by_anchor) {
 struct KnownAxes {
     Matrix<3> projection = Matrix<3>::Zero();
     Matrix<3> inverse = Matrix<3>::Zero();  // of the information, 0 about the others
-    double tilt = 0.0;  // rad, of the unknown axes, by errors of the picture that all its pixels share
+    double tilt = 0.0;  // of the unknown axes, if all pixels shared an error: rotation seen by rotation about them
 
     KnownAxes() = default;
     KnownAxes(const Matrix<3>& H, const Matrix<3>& feigned) {

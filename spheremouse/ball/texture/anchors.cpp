@@ -12,7 +12,7 @@ constexpr double UNKNOWN = 10.0;  // rad, standard deviation of a rotation about
 struct AnchorErrors {
     double loose;   // standard deviation above which the pixels around an anchor do not determine its place
     double prior;   // of its place relative to the whole alignment
-    double shared;  // of the learnt picture, common to all its pixels
+    double shared;  // of the learnt picture, common to the pixels around an anchor
     double tilted;  // of the whole alignment, by a turn about an axis that no pixel shows, and that is known badly
 };
 
@@ -35,7 +35,7 @@ Matrix<3> inverse(const Matrix<3>& A, double least = 1e-30) {
     return found.eigenvectors() * values.cwiseInverse().asDiagonal() * found.eigenvectors().transpose();
 }
 
-/// Return the information on the rotation of an anchor's surroundings, before their pixels are seen.
+/// Return the information, rad^-2 in obj, on the rotation of an anchor's surroundings before their pixels are seen.
 ///
 /// It is that of the whole alignment, with an error `sigma` about the columns of `E`. About the axes that `others`
 /// projects to, nothing is known.

@@ -83,7 +83,7 @@ _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
 _MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
 _EVERY = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
 _LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
-_RECENT = 0.1  # weight of a frame in the usual correlation: that of a third of a second
+_RECENT = 0.1  # weight of a frame in usual figures: those of a third of a second
 _FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
@@ -396,7 +396,7 @@ def _followed(
     now = state.search
     if now.searched:  # the motion since the last confirmed frame is no small correction
         turned, gap = rotation_between(state.reported_attitude, now.alignment.attitude), stamp - state.confirmed_at
-        rate = turned / gap if 0.0 < gap <= tracker.settings.loss.lost_after else None
+        rate = now.alignment.known @ turned / gap if 0.0 < gap <= tracker.settings.loss.lost_after else None
         predicted = _relocated(predicted, now.alignment, stamp, tracker, rate)
     filtered = _update(state, tracker, predicted)
     return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))

@@ -115,7 +115,7 @@ class Alignment(NamedTuple):
     gradient: Array  # (k, 3)
     pixels: Array  # (k,) number of them, each by its weight
     known: Array  # (3, 3) projection to the axes, obj, about which the pixels show a rotation
-    tilt: float  # rad, standard deviation of the other axes, if all pixels shared an error
+    tilt: float  # of the other axes, if all pixels shared an error: rotation seen by rotation about them
 
 
 class AlignmentScale(NamedTuple):

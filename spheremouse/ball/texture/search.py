@@ -145,7 +145,7 @@ class TextureState(NamedTuple):
 
 
 def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple[Alignment | None, bool]:
-    """Return the alignment of a frame near an attitude, None if the frame does not fit there, and whether it turns."""
+    """Return the alignment near an attitude, None if the frame does not fit, and whether samples out of doubt do."""
     found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
     if fits(found) or now.turned:
         usual = fits(found) and found.scale < _MOST_SCALE * now.usual_scale
@@ -158,7 +158,7 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
 def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
     """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere.
 
-    For a ball that is `lost`, this includes a part of all attitudes. If it repeats itself, there is no search.
+    For a ball that is `lost`, this includes a part of all attitudes. If that repeats itself, there is no search.
     `attitude` is None if nothing is known of it.
     """
     if lost and now.repeats:
@@ -171,7 +171,7 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array | None,
 
 
 def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Alignment | None:
-    """Return the alignment of a frame from an attitude near the coarse picture's, None if the frame does not fit."""
+    """Return the alignment with the coarse picture from `start`, then the fine one; None if the frame does not fit."""
     rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
     if not rough.correlation > LEAST_CORRELATION:
         return None
@@ -182,7 +182,7 @@ def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Ali
 
 
 def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:
-    """Return whether a frame that fits at an attitude fits as well up to 48° away: the pattern repeats itself.
+    """Return whether a frame that fits at an attitude fits about as well up to 48° away: the pattern repeats itself.
 
     Attitudes that differ only about an axis that no pixel shows count as one.
     """
