@@ -45,7 +45,7 @@ LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pa
 _SIGNIFICANT, _SEARCH_SIGNIFICANT, CLEAR = 6.0, 9.0, 12.0
 # A wrong attitude fits some details by chance. So a search must find so much of the usual correlation and of its
 # significance, and residuals up to so many times the usual ones. A hand or blur may make them larger near a prediction.
-_USUAL, _SURE, _USUAL_SCALE, _MOST_SCALE = 0.7, 0.4, 1.6, 2.5
+_USUAL, _SURE, _USUAL_SCALE, _MOST_SCALE = 0.7, 0.5, 1.6, 2.5
 _CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 # rad, of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
 _STEP = float(np.radians(2.7))
