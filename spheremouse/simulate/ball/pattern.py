@@ -25,7 +25,7 @@ _CELLS_PER_SIDE = 48  # along the side of the cube around the ball, to look up i
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """What is painted on a ball; an albedo of 0 looks like a disc, 1 like the bare ball."""
+    """Paint of a ball; an albedo of 0 looks like a disc, 1 like the bare ball."""
 
     name: PatternName
     seed: int
