@@ -167,25 +167,21 @@ class So3Filter:
         about unseen axes are considered, not estimated (Schmidt 1966). Rate and acceleration tend to those of an
         unknown player, as Singer (1970) has it for the acceleration.
         """
-        unseen, joint = np.eye(3) - seen, state.joint.copy()
-        every, usual = np.kron(np.eye(3), unseen), usual_acceleration(self.settings)
-        before = predicted.joint[:KINEMATIC_DIM, :KINEMATIC_DIM] + self._added_noise(
-            predicted, self._expected(predicted)
-        )
-        taken, axes = np.linalg.eigh(every @ (before - joint[:KINEMATIC_DIM, :KINEMATIC_DIM]) @ every)
-        joint[:KINEMATIC_DIM, :KINEMATIC_DIM] += axes * np.maximum(taken, 0.0) @ axes.T  # a step at a level adds some
-        kept = np.exp(-predicted.interval / np.array([DWELL_S, PERSISTENCE_S]))  # of rate and acceleration
-        fade = np.eye(KINEMATIC_DIM)
+        unseen, joint, kinematic = np.eye(3) - seen, state.joint.copy(), slice(KINEMATIC_DIM)
+        every = np.kron(np.eye(3), unseen)
+        before = predicted.joint[kinematic, kinematic] + self._added_noise(predicted, self._expected(predicted))
+        taken, axes = np.linalg.eigh(every @ (before - joint[kinematic, kinematic]) @ every)
+        joint[kinematic, kinematic] += axes * np.maximum(taken, 0.0) @ axes.T  # a step at a level adds some
+        kept = np.exp(-predicted.interval / np.array([np.inf, DWELL_S, PERSISTENCE_S]))
+        sigma = np.array([0.0, self.settings.start_rate_sigma, usual_acceleration(self.settings)])
+        fade = np.eye(KINEMATIC_DIM) - np.kron(np.diag(1.0 - kept), unseen)
+        joint[kinematic] = fade @ joint[kinematic]
+        joint[:, kinematic] = joint[:, kinematic] @ fade.T
+        joint[kinematic, kinematic] += np.kron(np.diag((1.0 - kept**2) * sigma**2), unseen)
         dx = np.zeros(len(joint))
         dx[:3] = unseen @ rotation_between(state.attitude, predicted.attitude)
-        for k, (part, sigma) in enumerate(zip(kept, (self.settings.start_rate_sigma, usual), strict=True)):
-            at = slice(3 * k + 3, 3 * k + 6)
-            fade[at, at] -= (1.0 - part) * unseen
-            joint[at, at] += (part**-2 - 1.0) * sigma**2 * unseen  # after `fade`: (1 - part²) sigma²
-        dx[3:6] = unseen @ (kept[0] * predicted.rate - state.rate)
-        dx[6:9] = unseen @ (kept[1] * predicted.acceleration - state.acceleration)
-        joint[:KINEMATIC_DIM] = fade @ joint[:KINEMATIC_DIM]
-        joint[:, :KINEMATIC_DIM] = joint[:, :KINEMATIC_DIM] @ fade.T
+        dx[3:6] = unseen @ (kept[1] * predicted.rate - state.rate)
+        dx[6:9] = unseen @ (kept[2] * predicted.acceleration - state.acceleration)
         return inject(state, dx, joint, state.weights, state.manoeuvre_level, state.used, state.nis)
 
     def is_beyond_a_tape(self, state: So3State) -> bool:

@@ -363,6 +363,8 @@ def _with_faults_reported(state: TrackState[So3State]) -> tuple[TrackState[So3St
     now: TextureState = state.search
     lacked, repeated = now.reported
     lacks = now.unseen > (_AXIS_SEEN if lacked else _AXIS_UNSEEN)
+    if (lacks, now.repeats) == now.reported:
+        return state, ()
     events = (AxisUnseen(ended=not lacks),) if lacks != lacked else ()
     if now.repeats and not repeated:
         events = (*events, PatternRepeats())

@@ -147,8 +147,9 @@ class TextureState(NamedTuple):
 def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple[Alignment | None, bool]:
     """Return the alignment near an attitude, None if the frame does not fit, and whether samples out of doubt do."""
     found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
-    if fits(found) or now.turned:
-        usual = fits(found) and found.scale < _MOST_SCALE * now.usual_scale
+    fitting = fits(found)
+    if fitting or now.turned:
+        usual = fitting and found.scale < _MOST_SCALE * now.usual_scale
         return (found if usual else None), usual
     # Only what has changed since the first frame counted. If that is little, the ball rests.
     whole = align(detector.fine, with_doubtful(now.fine.seen), now.fine.picture, attitude, now.noise)
@@ -158,7 +159,7 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
 def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
     """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere.
 
-    For a ball that is `lost`, this includes a part of all attitudes. If that repeats itself, there is no search.
+    For a ball that is `lost`, this includes a part of all attitudes. A lost ball that repeats itself is not searched.
     `attitude` is None if nothing is known of it.
     """
     if lost and now.repeats:
@@ -263,7 +264,7 @@ def _grid(least: float, most: float) -> Array:
 
 
 def attitudes_of_part(part: int, parts: int) -> Array:
-    """Return one of so many parts, counted on and on, of all rotations, (n, 3, 3).
+    """Return one of `parts` parts of all rotations, (n, 3, 3). `part` counts on beyond the last.
 
     The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
     About each the ball turns by equal steps.
