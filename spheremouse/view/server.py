@@ -40,6 +40,7 @@ from spheremouse.view.guide import LOOK, Guide, GuideOptions
 from spheremouse.view.pictures import Pictures
 
 STATIC = Path(__file__).with_name("static")
+TO_OWN = "to be the owner, open once the address that `spheremouse view --url` prints"
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 
 _MAX_BROWSERS = 24
@@ -198,8 +199,7 @@ class _Browser:
             elif message.type == "next" and (self._frame is None or self._frame.done()):
                 self._frame = self._begin(self._send_frame())
         elif not self.owner:
-            words = "this page only shows; open it with its token, which `spheremouse view --url` prints"
-            self._answer("trouble", message.id, text=words)
+            self._answer("trouble", message.id, text=f"only the owner may do this; {TO_OWN}")
         elif len(self._tasks) > 8:  # a browser that asks for more does not wait for answers
             self._answer("trouble", message.id, text="busy: too many requests are under way")
         else:
@@ -264,7 +264,7 @@ def application(socket: Path | None, access: Access, guide_options: GuideOptions
     async def file(request: Request) -> Response:
         visitor, given = _visitor(access, request), request.query_params.get("token")
         if visitor is None:
-            return PlainTextResponse("403: open the page with its token (spheremouse view --url)\n", 403, HEADERS)
+            return PlainTextResponse(f"403: only the owner may see this page; {TO_OWN}\n", 403, HEADERS)
         if given is not None:
             answer: Response = RedirectResponse(request.url.path, 303, HEADERS)
             if access.is_token(given):
@@ -297,9 +297,10 @@ FILES = {
 
 def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
     """Return who sent a request, or None if access is refused."""
-    headers, client = request.headers, request.client
+    headers, client, (address, _) = request.headers, request.client, request.scope["server"]
     return access.visitor(
-        "" if client is None else client.host,
+        # A client at the address of the page itself is on this computer.
+        "" if client is None else "127.0.0.1" if client.host == address else client.host,
         headers.get("host", ""),
         headers.get("origin"),
         request.cookies.get(access.cookie),

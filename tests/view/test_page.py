@@ -217,13 +217,43 @@ def test_a_field_with_focus_is_not_overwritten(page, service):
 def test_a_page_without_the_token_shows_and_changes_nothing(open_page, service):
     service.ask("set", assignments=["motion.scale_y=1.25"])
     page = open_page(owner=False)
-    assert "only shows" in page.locator("#message").inner_text()
+    assert "the address that spheremouse view --url prints" in page.locator("header .visitors").inner_text()
     wait_for("a locked field", field(page, "tune", "motion.scale_x").is_disabled)
     page.get_by_text("1 unsaved").wait_for()
     assert all(page.locator(button).is_disabled() for button in ("#pause", "#undo", "#save", "#apply-profile"))
     choose(page, "Expert")
-    assert all(page.locator(button).is_disabled() for button in ("#reset-all", "#import"))
+    assert all(page.locator(button).is_disabled() for button in ("#reset-all", "#import", "#export"))
+    for panel in ("Draw", "Recordings", "Doctor", "Calibration", "Guide"):
+        choose(page, panel)
+        shown = page.locator(f"#panel-{panel}")
+        assert "Only the owner" in shown.locator(".visitors").inner_text()
+        assert shown.locator("button").count() > 0
+        assert shown.locator("button:enabled, input:enabled, select:enabled").count() == 0
+    choose(page, "Draw")
+    x, y = middle(page.locator("#picture"))
+    drag(page, (x, y), (x + 40, y + 30))
     wait_for("the ball", lambda: pixels(page).max() > 100)
+    assert value(service, "discs.masks") is None
+    assert page.locator("#message").is_hidden()  # nothing was refused, since nothing was asked
+
+
+def test_a_browser_whose_token_is_not_valid_any_more_is_told_what_to_do(open_page, service):
+    page = open_page()
+    assert page.locator("header .visitors").is_hidden()
+    page.context.add_cookies(
+        [{**cookie, "value": "of-another-page"} for cookie in page.context.cookies() if "spheremouse" in cookie["name"]]
+    )
+    page.reload()
+    page.locator("header .visitors").wait_for()
+    page.goto(service.owner_url)
+    page.get_by_text("tracking", exact=True).wait_for()
+    assert page.locator("header .visitors").is_hidden()
+
+
+def test_a_page_that_refuses_this_browser_gives_the_reason(page):
+    page.route("**/", lambda route: route.fulfill(status=403, body="403: the reason"))
+    page.evaluate("WebSocket.prototype.send = function () { this.close(); }")  # ends the connection
+    wait_for("the reason", lambda: "the reason" in page.locator("#reason").inner_text())
 
 
 def test_save_keeps_the_comments_of_the_file(page, service):

@@ -76,11 +76,11 @@ def alone(tmp_path):
 
 
 @contextmanager
-def serving(daemon, port=0, cabinet=None, source=None):
+def serving(daemon, port=0, cabinet=None, source=None, address="127.0.0.1"):
     """Run the page of a daemon's socket in a thread; yields its port."""
-    listener = socket.create_server(("127.0.0.1", port), backlog=256)
+    listener = socket.create_server((address, port), backlog=256)
     port = listener.getsockname()[1]
-    running = server(application(daemon, Access(TOKEN, port), GuideOptions(cabinet, source)), "127.0.0.1", port)
+    running = server(application(daemon, Access(TOKEN, port), GuideOptions(cabinet, source)), address, port)
     thread = threading.Thread(target=lambda: asyncio.run(running.serve([listener])))
     thread.start()
     try:
@@ -254,7 +254,7 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
             {"type_": "do", "action": "pause"},
         ):
             answer = stranger.ask(words.pop("type_"), **words)
-            assert "open it with its token" in answer["text"]
+            assert "`spheremouse view --url` prints" in answer["text"]
         assert world.client.ask("status")["changes"] == []
         masked, whole = (next(f for f in (b.frame() for _ in range(50)) if f["jpeg"]) for b in (stranger, owner))
         black = [float((simplejpeg.decode_jpeg(f["jpeg"]).max(axis=2) < 20).mean()) for f in (masked, whole)]
@@ -428,6 +428,25 @@ def test_the_owners_address_has_the_token_of_the_page_that_runs(alone, tmp_path)
             page_address("127.0.0.1", alone, files)
     nobody = free_port()
     assert page_address("127.0.0.1", nobody, [own, service]).endswith("another-token-of-more-than-32-characters")
+
+
+def lan_address():
+    """Return an address of this computer in its network."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        try:
+            link.connect(("192.0.2.1", 1))  # sends nothing
+        except OSError:
+            pytest.skip("this computer has no network")
+        return link.getsockname()[0]
+
+
+def test_the_owners_address_at_an_address_in_the_network_has_the_token_of_the_page_that_runs(tmp_path):
+    (tmp_path / "own").write_text("another-token-of-more-than-32-characters")
+    (tmp_path / "service").write_text(TOKEN)
+    address = lan_address()
+    with serving(tmp_path / "s", address=address) as port:
+        found = page_address(address, port, [tmp_path / "own", tmp_path / "service"])
+    assert found == f"http://{address}:{port}/?token={TOKEN}"
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])

@@ -18,7 +18,7 @@ export class GuidePanel {
   #status = el("pre", { class: "coverage", role: "group", "aria-label": "Photos by region and tilt" });
   #checks = el("ul", { class: "findings" });
   #output = el("div", { class: "output", role: "log", "aria-label": "Output of the command" });
-  #steps = el("ol", { class: "findings" }, el("li", { class: "busy" }, "Reading the folder"));
+  #steps = el("ol", { class: "findings" });
   element = el("div", {}, el("div", { class: "row" }, this.#look, this.#stop), this.#note, this.#wanted, this.#picture, this.#status,
     this.#checks, this.#output, el("h3", {}, "Steps"), this.#steps);
   #perform;
@@ -35,8 +35,10 @@ export class GuidePanel {
 
   async #do(/** @type {string} */ action, /** @type {Record<string, any>} */ words = {}) {
     if (action !== "steps") setText(this.#note, "One moment.");
+    else if (!this.#shown) this.#steps.replaceChildren(el("li", { class: "busy" }, "Reading the folder"));
     const done = await this.#perform("guide", { do: action, ...words });
     if (!done || action === "describe") setText(this.#note, "");
+    if (!done && !this.#shown) this.#steps.replaceChildren();
     if (done?.data["steps"]) this.#showSteps(done.data);
   }
 

@@ -33,6 +33,7 @@ let status = null;
 /** @type {number[]} */
 const pictures = []; // times of the last ones, ms
 let messageTimer = 0;
+let refusal = ""; // of the page process, since the token is another one
 
 const link = new Link({ message: receive, frame: draw, lost });
 const settings = new Settings(link);
@@ -88,7 +89,12 @@ function receive(message) {
 function hello(message) {
   owner = message.owner;
   settings.locked = !owner;
-  if (!owner) showMessage("This page only shows. To change settings, open the address that `spheremouse view --url` prints.", false);
+  for (const line of document.querySelectorAll(".visitors")) line.toggleAttribute("hidden", owner);
+  if (!owner) drawing.activate(false);
+  for (const panel of /** @type {NodeListOf<HTMLFieldSetElement>} */ (document.querySelectorAll("fieldset.owners"))) {
+    panel.disabled = !owner;
+    if (!owner) panel.parentElement?.setAttribute("tabindex", "0"); // keys scroll it
+  }
   if (message.settings.length && settings.load(message.settings)) {
     expert.load();
     drawing.load();
@@ -112,8 +118,9 @@ function draw(/** @type {import("./types.js").Frame} */ frame, /** @type {ImageB
   plots.read(status);
 }
 
-function lost() {
-  showStatus(null, "The page process does not answer. The page connects again by itself.", "Start it: spheremouse view");
+async function lost() {
+  showStatus(null, refusal || "The page process does not answer. The page connects again by itself.", refusal ? "" : "Start it: spheremouse view");
+  refusal = await fetch("/").then((answer) => (answer.status === 403 ? answer.text() : ""), () => "");
 }
 
 /**
@@ -173,6 +180,8 @@ const PANELS = [
   ["Outputs", outputs.element], ["Doctor", doctor.element], ["Calibration", calibration.element], ["Guide", guide.element],
 ];
 
+const OWNERS = ["Draw", "Recordings", "Doctor", "Calibration", "Guide"]; // their buttons are disabled for visitors
+
 /** @param {string} chosen */
 function show(chosen) {
   for (const [name] of PANELS) {
@@ -182,7 +191,7 @@ function show(chosen) {
     tab.tabIndex = is ? 0 : -1;
     byId(`panel-${name}`, HTMLElement).hidden = !is;
   }
-  drawing.activate(chosen === "Draw");
+  drawing.activate(chosen === "Draw" && owner);
   if (chosen === "Recordings" && owner) void recordings.open();
   if (chosen === "Calibration" && owner) void calibration.open();
   if (chosen === "Guide" && owner) void guide.refresh();
@@ -200,6 +209,7 @@ const tabs = PANELS.map(([name], i) => el("button", {
 }, name));
 byId("tabs", HTMLElement).append(...tabs);
 byId("tab-panels", HTMLElement).append(...PANELS.map(([name, element]) =>
-  el("div", { role: "tabpanel", id: `panel-${name}`, "aria-labelledby": `tab-${name}` }, element)));
+  el("div", { role: "tabpanel", id: `panel-${name}`, "aria-labelledby": `tab-${name}` }, OWNERS.includes(name) ? el("fieldset", { class: "owners" },
+    el("p", { class: "visitors help", hidden: true }, "Only the owner can use this panel."), element) : element)));
 show("Tune");
 link.connect();

@@ -75,6 +75,7 @@ export class ExpertPanel {
   #search = el("input", { type: "search", id: "search", placeholder: "Name or effect", autocomplete: "off" });
   #changed = el("input", { type: "checkbox", id: "changed-only" });
   #reset = el("button", { type: "button", id: "reset-all" }, "Reset all");
+  #export = el("button", { type: "button", id: "export" }, "Export");
   #import = el("button", { type: "button", id: "import", click: () => this.#file.click() }, "Import");
   #file = el("input", { type: "file", id: "import-file", accept: ".yaml,.yml,text/yaml", class: "unseen", tabindex: "-1",
     "aria-label": "File of settings" });
@@ -85,11 +86,11 @@ export class ExpertPanel {
 
   constructor(/** @type {Settings} */ settings, /** @type {Act} */ perform) {
     this.#settings = settings;
-    const exporting = el("button", { type: "button", id: "export", click: async () => download(await perform("export")) }, "Export");
+    this.#export.addEventListener("click", async () => download(await perform("export")));
     this.element = el("div", {},
       el("div", { class: "row" }, el("label", { for: "search" }, "Search"), this.#search,
         el("label", { class: "check" }, this.#changed, "changed only")),
-      el("div", { class: "row" }, this.#reset, exporting, this.#import, this.#file), this.#count, this.#list);
+      el("div", { class: "row" }, this.#reset, this.#export, this.#import, this.#file), this.#count, this.#list);
     this.#search.addEventListener("input", () => this.#show());
     this.#changed.addEventListener("change", () => this.#show());
     this.#reset.addEventListener("click", () => {
@@ -140,7 +141,7 @@ export class ExpertPanel {
       section.toggleAttribute("hidden", rows.every((row) => row.hasAttribute("hidden")));
     }
     const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
-    this.#import.disabled = this.#settings.locked;
+    this.#import.disabled = this.#export.disabled = this.#settings.locked;
     this.#reset.disabled = this.#settings.locked || !changed.some((c) => this.#isReset(c.setting));
     setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
