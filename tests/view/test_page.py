@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from PIL import Image
-from view_world import wait_for
+from view_world import Server, wait_for
 
 PANELS = ("Tune", "Expert", "Log", "Draw", "Recordings", "Outputs", "Doctor", "Calibration", "Guide")
 SIZES = {"desktop": (1280, 800), "phone": (390, 844)}
@@ -108,6 +108,38 @@ def test_the_view_in_space_turns_by_keys(page):
     for _ in range(5):
         page.keyboard.press("ArrowLeft")
     assert space.screenshot() != front
+
+
+def test_a_sentence_begins_with_a_capital_letter_and_a_path_or_device_stays_as_it_is(page):
+    write = """async text => {
+      const {setSentence} = await import("/static/dom.js");
+      const line = document.createElement("p");
+      setSentence(line, text);
+      return line.innerHTML;
+    }"""
+    for text, shown in (
+        ("plug it in; see `dmesg`", "Plug it in; see <code>dmesg</code>"),
+        ("/tmp/c.yaml: saved", "/tmp/c.yaml: saved"),
+        ("v4l2:/dev/video0: gone", "v4l2:/dev/video0: gone"),
+        ("camera.gain: <b>", "camera.gain: &lt;b&gt;"),
+    ):
+        assert page.evaluate(write, text) == shown
+
+
+def test_a_page_without_a_service_offers_nothing_that_needs_one(browser, tmp_path):
+    alone = Server(tmp_path)
+    alone.start_page()
+    page = browser.new_page()
+    try:
+        page.goto(alone.owner_url)
+        page.get_by_text("offline", exact=True).wait_for()
+        for panel in ("Tune", "Expert", "Draw"):
+            choose(page, panel)
+            assert "service" in page.locator(f"#panel-{panel}").inner_text()
+            assert page.locator(f"#panel-{panel} button:enabled:visible").count() == 0
+    finally:
+        page.close()
+        alone.end_page()
 
 
 # ---- the service obeys ----

@@ -1,6 +1,6 @@
 /** A control for a setting: name, number, slider, range, default and effect. */
 
-import { el, formatNumber, valueText, setText } from "./dom.js";
+import { el, formatNumber, valueText, setText, withCode } from "./dom.js";
 
 /** @typedef {import("./types.js").Setting} Setting */
 /** @typedef {import("./types.js").Value} Value */
@@ -13,11 +13,11 @@ const MAX_UNIT_LENGTH = 10; // characters; a longer one is in the help alone
 const MAX_LINEAR_RANGE = 1e5; // of a range from 0 that a linear slider still resolves
 
 /**
- * Return the name of a setting for people: "motion.scale_x" is "Scale x".
+ * Return the name of a setting for people: "motion.scale_x" is "Scale x", "wand.pointing.by" is "Pointing by".
  * @param {string} key
  */
 export function title(key) {
-  const words = (key.split(".").at(-1) ?? key).replaceAll("_", " ").replace(/ s$/, "").replace(/ per /, " per ");
+  const words = key.split(".").slice(key.startsWith("wand.") ? 1 : -1).join(" ").replaceAll("_", " ").replace(/ s$/, "").replace(/ per /, " per ");
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
@@ -91,8 +91,8 @@ export function control(setting, settings, prefix) {
   const id = `${prefix}-${key}`;
   const change = (/** @type {Value} */ value) => settings.change(key, value);
   const error = el("p", { class: "refused", id: `${id}-error`, role: "alert" });
-  const meaning = (setting.meaning.charAt(0).toUpperCase() + setting.meaning.slice(1)).replace(/\.?$/, ". ").split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
-  const help = el("p", { class: "help", id: `${id}-help` }, ...meaning,
+  const meaning = (setting.meaning.charAt(0).toUpperCase() + setting.meaning.slice(1)).replace(/\.?$/, ". ");
+  const help = el("p", { class: "help", id: `${id}-help` }, ...withCode(meaning),
     range(setting), defaultText(setting), setting.live || setting.meaning.includes("at the start only") ? "" : " Read at the start only.", " ", el("code", {}, key));
   const state = { id, "aria-describedby": `${id}-help ${id}-error` };
   const field = entry(setting, state, change);

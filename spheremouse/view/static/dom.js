@@ -41,6 +41,15 @@ export function setText(/** @type {HTMLElement} */ element, /** @type {string} *
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Return the parts of a text; between backticks is code. @type {(text: string) => (HTMLElement | string)[]} */
+export const withCode = (text) => text.split("`").map((part, i) => (i % 2 ? el("code", {}, part) : part));
+
+/** Write a sentence with code as `setText` does. A first word begins with a capital letter unless it is a path or name. */
+export function setSentence(/** @type {HTMLElement} */ element, /** @type {string} */ text) {
+  const parts = withCode(text.replace(/^[a-z]+(?=[ ,]|$)/, (word) => word.charAt(0).toUpperCase() + word.slice(1)));
+  if (element.textContent !== el("p", {}, ...parts).textContent) element.replaceChildren(...parts);
+}
+
 /** @type {Map<string, string>} */
 const colours = new Map();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colours.clear());
@@ -88,7 +97,8 @@ export function formatDuration(/** @type {number} */ seconds) {
 
 /** Return the quantiles of a latency of the status, ms. */
 export function formatLatency(/** @type {{p50?: number, p99?: number} | null | undefined} */ latency) {
-  return latency?.p50 === undefined ? "–" : `${latency.p50.toFixed(1)} ms, 99 % ${(latency.p99 ?? 0).toFixed(1)} ms`;
+  const text = (/** @type {number} */ ms) => ms.toFixed(ms < 10 ? 1 : 0);
+  return latency?.p50 === undefined ? "–" : `${text(latency.p50)} ms, 99 % ${text(latency.p99 ?? 0)} ms`;
 }
 
 /** Return the text of a value as it is typed. */

@@ -41,6 +41,7 @@ export class DrawPanel {
   #add = el("button", { type: "button", id: "add-mask", click: () => this.#insert() }, "Add rectangle");
   #polygon = this.#picker("Draw polygon", [{ hint: "Click the corners one after another, and the last one twice.", take: (_, at) => this.#corner(at) }]);
   #hint = el("p", { class: "hint", role: "status" });
+  #none = el("p", { class: "help" }, "These regions need a service that tracks a ball in its frame.");
   #colours = el("div", {});
   element = el("div", {}, this.#hint,
     el("h3", {}, "Regions without discs"),
@@ -48,7 +49,7 @@ export class DrawPanel {
     el("p", { class: "help" }, "Pointer: drag on the picture to add a rectangle, drag a place to move it, drag a corner to change it."),
     el("p", { class: "help" }, "Keys, with the picture in focus: arrows move it, Shift and arrows resize it, Page Down chooses " +
       "the next one, Delete removes it."),
-    this.#list, el("div", { class: "row" }, this.#add, this.#polygon), this.#colours);
+    this.#list, el("div", { class: "row" }, this.#add, this.#polygon), this.#none, this.#colours);
   #settings;
   #picture;
 
@@ -62,6 +63,13 @@ export class DrawPanel {
     for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => this.#up());
     canvas.addEventListener("keydown", (event) => this.#key(event));
     settings.listen(() => this.#show());
+    this.#allow();
+  }
+
+  /** Allow masks if the tracker has them. */
+  #allow() {
+    this.#add.disabled = this.#polygon.disabled = !this.#settings.all.has(MASKS);
+    this.#none.hidden = !this.#add.disabled;
   }
 
   load() {
@@ -94,7 +102,7 @@ export class DrawPanel {
       ...(targets.length ? [el("h3", {}, "Colours of the targets"), ...[...targets, ...limits].map((c) => c.element)] : []),
       ...(discs.length ? [el("h3", {}, "Colours of the discs"), ...discs.map((c) => c.element)] : []));
     if (this.#settings.all.has(WEIGHTS)) this.#colours.append(el("div", { class: "row" }, this.#discPicker()));
-    this.#add.disabled = this.#polygon.disabled = !this.#settings.all.has(MASKS);
+    this.#allow();
     this.#show();
   }
 

@@ -1,7 +1,7 @@
 /** The page: state and buttons at the top, picture, space and plots, and the panels at the side. */
 
 import { CalibrationPanel } from "./calibration.js";
-import { byId, el, formatDuration, setText } from "./dom.js";
+import { byId, el, formatDuration, setSentence, setText } from "./dom.js";
 import { DrawPanel } from "./draw.js";
 import { GuidePanel } from "./guide.js";
 import { Link } from "./link.js";
@@ -68,7 +68,7 @@ async function perform(action, words = {}, progress = undefined) {
 function showMessage(/** @type {string} */ text, /** @type {boolean} */ refused) {
   const line = byId("message", HTMLElement);
   clearTimeout(messageTimer);
-  setText(byId("message-text", HTMLElement), text);
+  setSentence(byId("message-text", HTMLElement), text);
   line.classList.toggle("bad", refused);
   line.hidden = !text;
   if (!refused) messageTimer = setTimeout(() => (line.hidden = true), MESSAGE_MS);
@@ -113,13 +113,14 @@ function draw(/** @type {import("./types.js").Frame} */ frame, /** @type {ImageB
   picture.take(frame, bitmap);
   plots.take(samples);
   space.take(samples);
-  const masked = owner ? "" : ", masked to ball and targets";
+  const masked = (status?.cameras?.length > 1 ? ", the first camera" : "") + (owner ? "" : ", masked to ball and targets");
   setText(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : status ? "no picture" : "not live");
+  picture.canvas.classList.toggle("old", !pictures.length);
   plots.read(status);
 }
 
 async function lost() {
-  showStatus(null, refusal || "The page process does not answer. The page connects again by itself.", refusal ? "" : "Start it: spheremouse view");
+  showStatus(null, refusal || "The page process does not answer. The page connects again by itself.", refusal ? "" : "Start it: `spheremouse view`");
   refusal = await fetch("/").then((answer) => (answer.status === 403 ? answer.text() : ""), () => "");
 }
 
@@ -137,8 +138,8 @@ function showStatus(now, reason, remedy) {
   setText(pill, word);
   pill.dataset["look"] = now ? (known?.look ?? "wait") : "bad";
   document.title = `${word} – spheremouse`;
-  setText(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
-  setText(byId("advice", HTMLElement), now ? advice(now) : remedy);
+  setSentence(byId("reason", HTMLElement), now ? (now.reason ?? "") : reason);
+  setSentence(byId("advice", HTMLElement), now ? advice(now) : remedy);
   document.body.classList.toggle("stale", !now);
   if (!now) {
     pictures.length = 0;
@@ -159,6 +160,8 @@ function showStatus(now, reason, remedy) {
 /** @param {Status} now */
 function advice(now) {
   if (now.source?.replay) return "A recording plays. The pointer follows the camera, not the recording.";
+  const troubled = now.cameras?.findIndex((/** @type {{trouble?: string}} */ camera) => camera.trouble) ?? -1;
+  if (troubled >= 0) return `Camera ${troubled + 1} takes no part: ${now.cameras[troubled].trouble}`;
   const missing = now.targets?.missing;
   if (now.state === "searching-targets" && missing?.length) return `Not seen: targets ${missing.join(", ")}. Clear the view of them, and add light.`;
   if (now.state === "tracking" && now.outputs?.every((/** @type {{spec: string}} */ output) => output.spec === "null"))

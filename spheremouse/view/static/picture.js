@@ -101,16 +101,16 @@ export class Picture {
 
   /** Draw layers; `s` are the screen pixels in a pixel. @type {(c: CanvasRenderingContext2D, s: number, on: (name: string) => boolean) => void} */
   #layers(c, s, on) {
-    const { outline, detected, predicted, targets, masked, strangers } = this.#annotations;
-    if (on("contours") && outline?.length) {
+    const { outline, others, detected, predicted, targets, masked, strangers } = this.#annotations;
+    for (const points of on("contours") ? [outline ?? [], ...(others ?? [])] : []) {
       c.beginPath();
-      for (const [x, y] of outline) c.lineTo(x * s, y * s);
+      for (const [x, y] of points) c.lineTo(x * s, y * s);
       strokeWithHalo(c, "#8fd3ff", 1.2);
     }
     if (on("trails")) this.#trails(c, s);
     if (on("predicted"))
       for (const p of predicted ?? []) {
-        if (p.gate) ellipse(c, p.x, p.y, p.gate, s, "#ff9d94", 1, [3, 3]);
+        if (p.gate && Math.max(p.gate[0], p.gate[2]) < (this.view.width / 4) ** 2) ellipse(c, p.x, p.y, p.gate, s, "#ff9d94", 1, [3, 3]);
         ellipse(c, p.x, p.y, p.shape, s, "#ff5a4f", 1.5);
       }
     if (on("contours"))

@@ -200,7 +200,8 @@ export class Plots {
     if (status) {
       rows.push(["frames", `${(status.fps ?? 0).toFixed(1)} /s`], ["latency", formatLatency(status.latency_ms), "two"], ["counts", status.counts?.map((/** @type {number} */ v) => formatSigned(v, 0)).join(", ") ?? "–", "three"]);
       if (!status.balls) rows.push(["points", `${status.discs ?? "–"} used, ${status.discs_seen ?? "–"} seen, ${status.discs_known ?? "–"} known`, "three"]);
-      for (const ball of status.balls ?? []) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
+      const ball = status.balls?.[Number(this.#balls.value || 1) - 1];
+      if (ball) rows.push([ball.name ?? "ball", ballText(ball), "all"]);
       rows.push(["motion", status.motion?.words ?? "not known", "all"]);
     }
     const known = new Map([...this.#readings.children].map((row) => [row.firstElementChild?.textContent, row.lastElementChild]));

@@ -1,6 +1,6 @@
 /** The panels of the log, the outputs and the doctor. */
 
-import { byId, el, formatDuration, formatLatency, formatSigned, setText, table } from "./dom.js";
+import { byId, el, formatDuration, formatLatency, formatSigned, setText, table, withCode } from "./dom.js";
 
 /** @typedef {import("./types.js").Status} Status */
 /** @typedef {import("./tune.js").Act} Act */
@@ -51,24 +51,25 @@ export class OutputsPanel {
   #table = el("tbody", {});
   #facts = el("dl", { class: "facts" });
   element = el("div", {},
-    table("Table of the outputs", ["Output", "State", "Reports", "Dropped", "Latency", "Not sent"], this.#table),
+    table("Table of the outputs", ["Output", "State", "Reports", "Dropped", "Latency", "Counts not sent"], this.#table),
     el("h3", {}, "The run"), this.#facts);
 
   /** @param {Status | null} status */
   show(status) {
     const rows = (status?.outputs ?? []).map((/** @type {any} */ o) => [
       o.spec ?? "–", o.failed ?? o.left_out ?? "sends", o.reports ?? 0, o.dropped ?? 0,
-      formatLatency(o.latency_ms), (o.unsent ?? []).join(", ") || "–"]);
+      formatLatency(o.latency_ms), o.unsent?.some(Boolean) ? o.unsent.join(", ") : "none"]);
     fill(this.#table, rows, (row) => el("tr", {}, ...row.map((cell, i) => (i ? el("td", {}, cell) : el("th", { scope: "row" }, cell)))));
     const s = status ?? {};
     const pose = s.pose;
     const cameras = (s.cameras ?? []).map((/** @type {any} */ c, /** @type {number} */ i) => [
       `Camera ${i + 1}`, `${c.description || c.spec}: ${c.trouble || `${c.frames ?? 0} frames`}`]);
     const facts = status ? [
-      ["Tracker", s.tracker], ...(cameras.length ? cameras : [["Source", s.source?.description ?? s.source?.spec]]), ["Configuration", s.config], ["Rig", s.rig], ["Map", s.map],
+      ["Tracker", s.tracker], ...(cameras.length ? cameras : [["Source", s.source?.description ?? s.source?.spec]]), ["Configuration", s.config],
+      ...(s.balls ? [] : [["Rig", s.rig], ["Map", s.map]]),
       ["Frames", `${s.frames ?? 0} tracked, ${s.skipped ?? 0} skipped, ${s.dropped ?? 0} lost by the driver, ${s.damaged ?? 0} damaged`],
-      ["Camera pose", pose?.position_m ? `${pose.position_m.map((/** @type {number} */ v) => formatSigned(v, 3)).join(", ")} m, σ ${(pose.sigma_mm ?? []).map((/** @type {number} */ v) => v.toFixed(1)).join(", ")} mm` : "not known"],
-      ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} times`],
+      ...(s.balls ? [] : [["Camera pose", pose?.position_m ? `${pose.position_m.map((/** @type {number} */ v) => formatSigned(v, 3)).join(", ")} m, σ ${(pose.sigma_mm ?? []).map((/** @type {number} */ v) => v.toFixed(1)).join(", ")} mm` : "not known"]]),
+      ["Running", `${formatDuration(s.uptime_s ?? 0)}, without tracking ${formatDuration(s.unseen_s ?? 0)}, lost ${s.lost_count ?? 0} ${s.lost_count === 1 ? "time" : "times"}`],
       ["Process", `${Math.round(s.memory_mb ?? 0)} MB, ${Math.round(100 * (s.cpu_share ?? 0))} % of a core, ${s.scheduling ?? ""}`],
       ["Version", s.version]] : [["Tracker", "not running"]];
     fill(this.#facts, facts.map(([name, value]) => [name, value ?? "none"]), ([name = "", value = ""]) => el("div", {}, el("dt", {}, name), el("dd", {}, value)));
@@ -118,7 +119,7 @@ export class DoctorPanel {
     this.#list.replaceChildren(...subjects.map((subject) => el("section", {}, el("h3", {}, subject),
       el("ul", { class: "findings" }, ...checks.filter((c) => c.subject === subject).map((c) =>
         el("li", { class: c.verdict.replace(" ", "-") }, el("b", {}, c.verdict), el("span", {}, `${c.name}: ${c.text}`),
-          ...(c.advice ? [el("p", { class: "help" }, c.advice, ...this.#remedies(c.advice))] : [])))))));
+          ...(c.advice ? [el("p", { class: "help" }, ...withCode(c.advice), ...this.#remedies(c.advice))] : [])))))));
   }
 
   /** @param {string} advice */
@@ -128,7 +129,7 @@ export class DoctorPanel {
     const remedies = [
       [/ctl resume/, "Resume", () => void this.#perform("resume")], [/ctl reload/, "Read the configuration again", () => void this.#perform("reload")],
       [/uncover and light the targets/, "Estimate camera pose", () => void this.#perform("reinit")], [/section output/, "Open Outputs", open("Outputs")],
-      [/calibrat/, "Open Guide", open("Guide")], [/camera\.\w+|exposure|discs\./, "Open Tune", open("Tune")],
+      [/calibrat/, "Open Guide", open("Guide")], [/(?<!docs\/)camera\.\w+|exposure|discs\./, "Open Tune", open("Tune")],
     ];
     return remedies.filter(([words]) => words.test(advice)).map(([, name, click]) => el("button", { type: "button", class: "quiet", click }, name));
   }

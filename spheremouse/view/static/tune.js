@@ -15,6 +15,8 @@ const TUNE = [
   "discs.polarity", "discs.contrast", "so3.acceleration_sigma", "loss.lost_after", "camera.exposure_s", "camera.gain",
 ];
 
+const NO_SETTINGS = "The settings appear when the service runs.";
+
 export class TunePanel {
   /** @type {(() => void)[]} */ #shows = [];
   #list = el("div", { class: "settings" });
@@ -23,7 +25,7 @@ export class TunePanel {
   #mark = el("p", { class: "help", id: "unsaved", role: "status" });
   #profile = el("select", { id: "profile" });
   #apply = el("button", { type: "button", id: "apply-profile" }, "Apply");
-  #profiles = el("div", { class: "row" }, el("label", { for: "profile" }, "Profile"), this.#profile, this.#apply);
+  #profiles = el("div", { class: "row", hidden: true }, el("label", { for: "profile" }, "Profile"), this.#profile, this.#apply);
   element;
   #settings;
 
@@ -37,6 +39,7 @@ export class TunePanel {
     this.#save.addEventListener("click", () => void perform("save"));
     this.#apply.addEventListener("click", () => void perform("profile", { name: this.#profile.value }));
     settings.listen(() => this.#show());
+    this.#show();
   }
 
   /** @param {import("./types.js").Hello} hello */
@@ -60,7 +63,7 @@ export class TunePanel {
     this.#save.disabled = locked || unsaved.size === 0;
     this.#apply.disabled = locked;
     setText(this.#undo, undo ? `Undo (${undo})` : "Undo");
-    setText(this.#mark, unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
+    setText(this.#mark, !this.#shows.length ? NO_SETTINGS : unsaved.size ? `${unsaved.size} unsaved: in force until the next start.` : "All settings are saved.");
   }
 }
 
@@ -103,6 +106,7 @@ export class ExpertPanel {
       this.#file.value = "";
     });
     settings.listen(() => this.#show());
+    this.#show();
   }
 
   load() {
@@ -143,7 +147,10 @@ export class ExpertPanel {
     const changed = this.#controls.filter((c) => this.#isChanged(c.setting));
     this.#import.disabled = this.#export.disabled = this.#settings.locked;
     this.#reset.disabled = this.#settings.locked || !changed.some((c) => this.#isReset(c.setting));
-    setText(this.#count, `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
+    const loaded = this.#controls.length > 0;
+    this.#export.disabled ||= !loaded;
+    this.#import.disabled ||= !loaded;
+    setText(this.#count, !loaded ? NO_SETTINGS : `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
   }
 }
 

@@ -23,6 +23,7 @@
  *
  * @typedef {object} Annotations
  * @property {Point[]} [outline]
+ * @property {Point[][]} [others] outlines of further balls
  * @property {{x: number, y: number, shape: Shape, used: boolean}[]} [detected]
  * @property {{x: number, y: number, shape: Shape, gate?: Shape}[]} [predicted]
  * @property {{code: string, x: number, y: number, shape?: Shape}[]} [targets]
