@@ -71,6 +71,7 @@ def tune(
         print(f"{key}={config.to_yaml(value)}  {saved}")
     print(f"on the second half of the recording the cost is {100 * found.held_out.gain:.0f} % smaller")
     if out is not None:
+        check_outputs([out], [], force=force)  # another search may have written it meanwhile
         write_atomically(out, config.dump(changed(settings, found.values), Configuration()))
         print(f"{out}: written")
 

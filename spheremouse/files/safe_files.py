@@ -153,7 +153,9 @@ class NewFile:
     """A file under a hidden name beside its place; `finish` gives it its name, `discard` removes it."""
 
     def __init__(self, path: Path, mode: int | None = None) -> None:
-        """Make the hidden file. `mode`: see `replace`. Raises OSError if no file can be made there."""
+        """Make the hidden file. `mode`: see `replace`. OSError: a device or pipe, or no file can be made."""
+        if is_stream(path):
+            raise OSError(errno.EINVAL, "is a device or pipe; name a file")
         refuse_shared_folder(path.parent)
         self._path = path
         self._old = None if mode is not None else _regular(path)

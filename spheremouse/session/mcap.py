@@ -205,33 +205,41 @@ class McapWriter:
 
 
 class _CheckedFile:
-    """A file for the SDK, which reports errors of writing on standard error alone: `check` raises the first one."""
+    """A file for the SDK, which prints errors of writing and panics at a wrong position: `check` raises the first one.
+
+    After an error, also after the file is closed, the SDK writes on into nothing until it has let go of the file.
+    """
 
     def __init__(self, file: BufferedWriter) -> None:
         self._file = file
         self._error: BaseException | None = None
+        self._position = self._end = 0  # as if everything had been written
 
     def write(self, data: bytes) -> int:
-        if self._error is None:
-            try:
-                self._file.write(data)
-            except BaseException as e:  # an interrupt, too, since the SDK would drop it
-                self._error = e
+        self._try(lambda: self._file.write(data))
+        self._position += len(data)
+        self._end = max(self._end, self._position)
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        return self._file.seek(offset, whence) if self._error is None else 0
+        self._position = offset + (0, self._position, self._end)[whence]
+        self._try(lambda: self._file.seek(self._position))
+        return self._position
 
     def flush(self) -> None:
-        if self._error is None:
-            try:
-                self._file.flush()
-            except BaseException as e:
-                self._error = e
+        self._try(self._file.flush)
 
     def check(self) -> None:
         if self._error is not None:
             raise self._error
+
+    def _try(self, action: Callable[[], object]) -> None:
+        """Carry out an action, unless one has failed."""
+        if self._error is None:
+            try:
+                action()
+            except BaseException as e:  # an interrupt, too, since the SDK would drop it
+                self._error = e
 
 
 # ---- samples ----

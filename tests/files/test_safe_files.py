@@ -12,7 +12,7 @@ import pytest
 from spheremouse.commands.service.systemd import under_umask
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError
 from spheremouse.files import safe_files
-from spheremouse.files.safe_files import NewFolder, write_atomically
+from spheremouse.files.safe_files import NewFile, NewFolder, replace, write_atomically
 from spheremouse.files.token import own_token, read_token
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.simulate.ball.film import prepare
@@ -39,6 +39,16 @@ def test_a_new_file_has_the_mode_of_the_umask_and_an_old_one_keeps_its_own(tmp_p
             path.chmod(0o600)
             safe_files.replace(path, b"two")
             assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_pipe_or_device_is_never_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for write in (lambda: NewFile(pipe), lambda: replace(pipe, b"")):
+        with pytest.raises(OSError, match="device or pipe"):
+            write()
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
 
 
 def test_a_link_is_replaced_and_what_it_led_to_stays(tmp_path):

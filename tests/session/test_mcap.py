@@ -4,6 +4,8 @@ import errno
 import io
 import json
 import os
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -182,6 +184,26 @@ def test_nothing_is_left_of_an_export_that_ends_early(tmp_path, monkeypatch, cap
     assert error is None or "run.mcap: cannot be written: No space left on device" in text
     assert list(tmp_path.iterdir()) == []
     assert "McapError" not in capfd.readouterr().err
+
+
+def test_an_export_that_is_interrupted_between_two_frames_prints_nothing(tmp_path):
+    """The SDK ends its file when Python lets go of it, after the file is closed."""
+    code = f"""
+import sys
+from spheremouse import commands
+from spheremouse.session.mcap import McapWriter
+show = McapWriter.show
+def interrupted(self, *arguments):
+    if self.frames == 20:
+        raise KeyboardInterrupt
+    show(self, *arguments)
+McapWriter.show = interrupted
+sys.argv = ["spheremouse", "export", {str(CLIP)!r}, {str(tmp_path / "run.mcap")!r}]
+commands.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stderr.strip()) == (130, "")
+    assert list(tmp_path.iterdir()) == []
 
 
 def distances(a, b):

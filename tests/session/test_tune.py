@@ -11,10 +11,11 @@ from invoking import fail, succeed
 
 from spheremouse.commands.tune import tune as command
 from spheremouse.errors import ConfigurationError
+from spheremouse.evaluation.tuning import Comparison
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.session.settings import Configuration
-from spheremouse.session.tune import Objective, changed, tunable, tune
+from spheremouse.session.tune import Objective, Tuning, changed, tunable, tune
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.options import SimulationOptions
 from spheremouse.simulate.to_dataset import write_simulation
@@ -154,6 +155,23 @@ def test_nothing_is_written_if_no_trial_is_better(film, tmp_path):
     text = succeed(app, film, "--trials", 1, "--seed", 2, "--output", out)
     assert "nothing changed" in text
     assert not out.exists()
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_file_that_appears_during_the_search_is_replaced_by_force_alone(tmp_path, monkeypatch, force):
+    out = tmp_path / "tuned.yaml"
+
+    def search(*_):
+        out.write_text("of another search")
+        return Tuning({"discs.contrast": 0.3}, {}, Comparison(1.0, 0.5, significant=True), 1)
+
+    monkeypatch.setattr("spheremouse.session.tune.tune", search)
+    if force:
+        succeed(app, CLIP, "--output", out, "--force")
+        assert config.load(out, Configuration).discs.contrast == 0.3
+    else:
+        assert "tuned.yaml: there already" in fail(app, CLIP, "--output", out)
+        assert out.read_text() == "of another search"
 
 
 @pytest.mark.parametrize("words", [("--budget", "soon"), ("--budget", "0"), ("--set", "tracker=ekf1")])
