@@ -1,8 +1,8 @@
 """Interior orientation with its covariance, and the pose of each view, from corners of a board.
 
-Bundle adjustment with known points (Wittich 2017, section 2.4.5; Zhang 2000): nine unknowns of the camera, six of each
-view. Each view has an estimated variance of its own. Data snooping finds false corners. If views contradict each other
-beyond the variances of their corners, the covariance is enlarged.
+Bundle adjustment with known points (Wittich 2017, section 2.4.5; Zhang 2000): nine unknowns of the camera, four of the
+board's shape, six of each view. Each view has an estimated variance of its own. Data snooping finds false corners. If
+views contradict each other beyond the variances of their corners, the covariance is enlarged.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,10 @@ from scipy.stats import chi2
 
 from spheremouse.calibrate.camera.bundle import (
     HUBER_KNEE,
+    INTERIOR,
     MIN_SIGMA,
+    SHAPE,
+    SHARED,
     UNDETERMINED,
     BoardAdjustment,
     Bundle,
@@ -24,6 +27,7 @@ from spheremouse.calibrate.camera.bundle import (
     poses_of,
     resect_views,
     robust_sigma,
+    split_poses,
     unknowns_of,
 )
 from spheremouse.errors import CalibrationError
@@ -62,7 +66,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
             f"{len(views)} {'view does' if len(views) == 1 else 'views do'} not determine a camera; take at least "
             f"{MIN_VIEWS}, better 10 to 20, from different sides"
         )
-    free = np.arange(9) < 4 + terms
+    free = np.concatenate([np.arange(INTERIOR) < 4 + terms, np.ones(SHAPE, bool)])
     x = start(views, size)
     bundle = Bundle(views, size, free)
     try:
@@ -93,8 +97,9 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
 
 
 def start(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """Return the unknowns of a `Bundle`, (9 + 6v,), to start from: no distortion, the best focal length for most views.
+    """Return the unknowns of a `Bundle`, (13 + 6v,), to start from.
 
+    The lens has no distortion, the board is flat, and the focal length is the best for most views.
     `size` is width and height in px. Raises CalibrationError if no focal length gives poses that explain the corners.
     """
     width, height = size
@@ -103,12 +108,11 @@ def start(views: Sequence[View], size: tuple[int, int]) -> Array:
     for focal in _focals(views, size):
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
         poses = poses_of(views, camera)
-        residual, _ = Bundle(views, size, np.zeros(9, bool)).evaluate(
-            np.concatenate([interior_vector(camera), poses.ravel()]), np.ones(len(views))
-        )
+        x = np.concatenate([interior_vector(camera), np.zeros(SHAPE), poses.ravel()])
+        residual, _ = Bundle(views, size, np.zeros(SHARED, bool)).evaluate(x, np.ones(len(views)))
         misfit = float(np.median(np.abs(residual)))
         if misfit < least:
-            best, least = np.concatenate([interior_vector(camera), poses.ravel()]), misfit
+            best, least = x, misfit
     if best is None:
         raise CalibrationError("no pose of the board explains the corners; are the photos of one camera and one board?")
     return best
@@ -117,10 +121,10 @@ def start(views: Sequence[View], size: tuple[int, int]) -> Array:
 def _parallel(views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_], x: Array) -> bool:
     """Return True if all boards face the same way, which leaves the focal length open."""
     try:
-        y = Bundle(views, size, free & (np.arange(9) >= 4)).solve(x, np.ones(len(views)))
+        y = Bundle(views, size, free & (np.arange(SHARED) >= 4)).solve(x, np.ones(len(views)))
     except CalibrationError:
         return False
-    normals = exp(y[9:].reshape(-1, 2, 3)[:, 0])[:, :, 2]
+    normals = exp(split_poses(y)[0])[:, :, 2]
     normals *= np.sign(normals[:, 2:])
     return bool(np.all(normals @ normals[0] > np.cos(_MIN_BOARD_ANGLE)))
 
@@ -143,10 +147,10 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
         subset = np.isin(np.arange(n), rng.choice(n, _SUBSET_VIEWS, replace=False))
         try:
             y = bundle.only(subset).solve(x[unknowns_of(subset)], np.ones(_SUBSET_VIEWS))
-            R, t, _ = resect_views(bundle.views, camera_of(y, bundle.size))
+            R, t, _ = resect_views(bundle.views, camera_of(y, bundle.size), y[INTERIOR:SHARED], bundle.plate)
         except CalibrationError:
             continue
-        tried = np.concatenate([y[:9], np.stack([[log(r) for r in R], t], axis=1).ravel()])
+        tried = np.concatenate([y[:SHARED], np.stack([[log(r) for r in R], t], axis=1).ravel()])
         if np.median(bundle.spread(tried)) < np.median(spread):
             found, spread = tried, bundle.spread(tried)
     if found is None:
@@ -186,7 +190,7 @@ def _with_variances(bundle: Bundle, x: Array) -> tuple[Array, Array]:
 def _sigmas_and_poses(bundle: Bundle, x: Array, used: NDArray[np.bool_], own_sigma: Array) -> Array:
     """Return the standard deviation of a corner's coordinate in each view, (v,) px, and set missing poses in x.
 
-    x (9 + 6v,) are the unknowns of a `Bundle`. `own_sigma` has the standard deviations of the `used` views, (v,), in
+    x (13 + 6v,) are the unknowns of a `Bundle`. `own_sigma` has the standard deviations of the `used` views, (v,), in
     their order. The others are resected with the camera of x: their poses go into x, their standard deviations follow
     from their residuals.
     """
@@ -194,9 +198,10 @@ def _sigmas_and_poses(bundle: Bundle, x: Array, used: NDArray[np.bool_], own_sig
     sigma[used] = own_sigma
     left_out = np.flatnonzero(~used)
     if len(left_out):
-        R, t, residuals = resect_views([bundle.views[v] for v in left_out.tolist()], camera_of(x, bundle.size))
+        others = [bundle.views[v] for v in left_out.tolist()]
+        R, t, residuals = resect_views(others, camera_of(x, bundle.size), x[INTERIOR:SHARED], bundle.plate)
         for k, v in enumerate(left_out.tolist()):
-            x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
+            x[SHARED + 6 * v : SHARED + 6 + 6 * v] = np.concatenate([log(R[k]), t[k]])
         sigma[left_out] = [robust_sigma(r) for r in residuals]
     return sigma
 
@@ -210,7 +215,7 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
 
     def adjusted(y: Array) -> tuple[Bundle, Array, Array, Jacobian, Array]:
         """The used views without false corners, their unknowns, residuals, Jacobian and cofactors."""
-        part = Bundle([views[v].take(kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+        part = Bundle([views[v].take(kept[v]) for v in index.tolist()], bundle.size, bundle.free, bundle.plate)
         y = part.solve(y, sigma[index])
         residual, J = part.jacobian(y, sigma[index])
         try:
@@ -224,6 +229,7 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
         number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
         test = outlier_statistic(residual.reshape(-1, 2), blocks)
         false = test > chi2.isf(FALSE_ALARM / len(test), 2)  # chance to lose a good corner
+        false[-SHAPE // 2 :] = False  # the board's shape is no corner
         if not false.any():
             factors = variance_factors(residual, number, [np.isin(rows, range(g.start, g.stop)) for g in part.groups])
             sigma[index] = np.maximum(sigma[index] * np.sqrt(factors), MIN_SIGMA)
@@ -238,37 +244,57 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
     part, y, residual, J, Q = adjusted(y)
     left = len(residual) - len(Q)
     factor = max(float(residual @ residual) / left, (MIN_SIGMA / float(sigma[index].max())) ** 2)
-    N, g = _on_the_camera(J, residual / np.sqrt(factor), part.groups, int(bundle.free.sum()))
-    widening = contradiction(N, g)
-    covariance = np.zeros((9 + 6 * len(index),) * 2)
+    shared = int(bundle.free.sum())
+    N, g = _on_the_shared(J, residual / np.sqrt(factor), part.groups, shared)
+    observed = J[-SHAPE:, :shared].toarray()
+    prior = observed.T @ observed
+    widening = contradiction(N, g, prior)
+    covariance = np.zeros((SHARED + 6 * len(index),) * 2)
     is_open = np.concatenate([bundle.free, np.ones(6 * len(index), bool)])
-    covariance[np.ix_(is_open, is_open)] = widening * _estimated_weights(N, part.counts) * factor * Q
+    covariance[np.ix_(is_open, is_open)] = widening * _estimated_weights(N, prior, part.counts) * factor * Q
+    of_shape = covariance[INTERIOR:SHARED, INTERIOR:SHARED].copy()
+    covariance = np.delete(np.delete(covariance, np.s_[INTERIOR:SHARED], axis=0), np.s_[INTERIOR:SHARED], axis=1)
     _into_cam(covariance, y)
     x[columns] = y
     _sigmas_and_poses(bundle, x, used, sigma[used])
-    camera = replace(camera_of(x, bundle.size), covariance=covariance[:9, :9].copy())
-    r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
-    residuals, sigma = bundle.residuals(x), sigma * np.sqrt(factor)
-    return BoardAdjustment(camera, exp(r), t, residuals, used, tuple(kept), sigma, covariance, widening, bundle.free)
+    camera = replace(camera_of(x, bundle.size), covariance=covariance[:INTERIOR, :INTERIOR].copy())
+    r, t = split_poses(x)
+    by_shape = bundle.plate.by_shape(bundle.points)[:, 2]
+    bow = by_shape @ x[INTERIOR:SHARED]
+    farthest = by_shape[int(np.argmax(np.abs(bow)))]
+    return BoardAdjustment(
+        camera,
+        exp(r),
+        t,
+        bundle.residuals(x),
+        used,
+        tuple(kept),
+        sigma * np.sqrt(factor),
+        covariance,
+        widening,
+        bundle.free[:INTERIOR],
+        bow=(float(np.max(np.abs(bow))), float(np.sqrt(farthest @ of_shape @ farthest))),
+        stretch=(float(x[INTERIOR]), float(np.sqrt(of_shape[0, 0]))),
+    )
 
 
 def _into_cam(covariance: Array, y: Array) -> None:
     """Convert the covariance of rotation vectors to that of small rotations in cam, in place."""
-    r = y[9:].reshape(-1, 2, 3)[:, 0]
+    r, _ = split_poses(y)
     J = left_jacobian(r)
     for v in range(len(r)):
-        rows = slice(9 + 6 * v, 12 + 6 * v)
+        rows = slice(INTERIOR + 6 * v, INTERIOR + 3 + 6 * v)
         covariance[rows] = J[v] @ covariance[rows]
         covariance[:, rows] = covariance[:, rows] @ J[v].T
 
 
-def _on_the_camera(J: Jacobian, residual: Array, groups: Sequence[slice], nine: int) -> tuple[Array, Array]:
-    """Normal matrices, (v, 9, 9), and gradients, (v, 9), of each view by the camera's unknowns, the pose eliminated."""
+def _on_the_shared(J: Jacobian, residual: Array, groups: Sequence[slice], k: int) -> tuple[Array, Array]:
+    """Normal matrices, (v, k, k), and gradients, (v, k), of each view by the k shared unknowns, the pose eliminated."""
     N, g, dense = [], [], J.toarray()
     for group in groups:
         rows = dense[group]
-        A = rows[:, :nine]
-        B = rows[:, nine:][:, np.any(rows[:, nine:] != 0.0, axis=0)]
+        A = rows[:, :k]
+        B = rows[:, k:][:, np.any(rows[:, k:] != 0.0, axis=0)]
         basis, _ = np.linalg.qr(B)
         A = A - basis @ (basis.T @ A)
         N.append(A.T @ A)
@@ -276,28 +302,29 @@ def _on_the_camera(J: Jacobian, residual: Array, groups: Sequence[slice], nine: 
     return np.array(N), np.array(g)
 
 
-def _estimated_weights(N: Array, counts: NDArray[np.intp]) -> float:
+def _estimated_weights(N: Array, prior: Array, counts: NDArray[np.intp]) -> float:
     """Factor on the variances because the views' weights are estimates (Meier 1953): 1 + 4 sum w (1 - w) / r.
 
     w is a view's share of the information, r its redundancy.
     """
-    nine = N.shape[1]
-    share = np.einsum("ij,vji->v", np.linalg.pinv(N.sum(axis=0), hermitian=True), N) / max(nine, 1)
-    left = np.maximum(2.0 * counts - 6.0 - nine * share, 1.0)
+    k = N.shape[1]
+    share = np.einsum("ij,vji->v", np.linalg.pinv(N.sum(axis=0) + prior, hermitian=True), N) / max(k, 1)
+    left = np.maximum(2.0 * counts - 6.0 - k * share, 1.0)
     return float(1.0 + 4.0 * np.sum(share * (1.0 - share) / left))
 
 
-def contradiction(N: Array, g: Array) -> float:
+def contradiction(N: Array, g: Array, prior: Array) -> float:
     """Return the factor on the variances for views that contradict each other; 1 if they do not significantly.
 
-    `N` (v, 9, 9) and `g` (v, 9) are the views' normal matrices and gradients at the minimum, at unit variance. Errors
-    within a view may be correlated, for example on a bent board. Then the camera without one view scatters more than
-    independent errors explain. A jackknife over views measures this scatter; random draws give the expected one.
+    `N` (v, k, k) and `g` (v, k) are the views' normal matrices and gradients at the minimum, at unit variance. `prior`
+    (k, k) is the normal matrix of the shape's observations. Errors within a view may be correlated, for example on a
+    board that bends as it is held. Then the camera without one view scatters more than independent errors explain. A
+    jackknife over views measures this scatter; random draws give the expected one.
     """
-    nine = N.shape[1]
-    scale = 1.0 / np.sqrt(np.diagonal(np.sum(N, axis=0)))
-    normals, gradient = N * np.outer(scale, scale), g * scale
-    total = normals.sum(axis=0)
+    k = N.shape[1]
+    scale = 1.0 / np.sqrt(np.diagonal(np.sum(N, axis=0) + prior))
+    normals, gradient, known = N * np.outer(scale, scale), g * scale, prior * np.outer(scale, scale)
+    total = normals.sum(axis=0) + known
     try:
         without = np.linalg.inv(total - normals)
     except np.linalg.LinAlgError:  # the other views do not determine the camera
@@ -305,8 +332,9 @@ def contradiction(N: Array, g: Array) -> float:
     rng = np.random.default_rng(0)
     value, vector = np.linalg.eigh(normals)
     root = vector * np.sqrt(np.maximum(value, 0.0))[:, None]
-    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_MONTE_CARLO_DRAWS, len(normals), nine)))
-    common = np.linalg.solve(total, drawn.sum(axis=1).T).T
+    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_MONTE_CARLO_DRAWS, len(normals), k)))
+    by_prior = rng.standard_normal((_MONTE_CARLO_DRAWS, k)) * np.sqrt(np.diagonal(known))  # it is diagonal
+    common = np.linalg.solve(total, (drawn.sum(axis=1) + by_prior).T).T
     drawn -= np.einsum("vij,dj->dvi", normals, common)
     expected = _scatter(drawn, without, total)
     found = _scatter(gradient[None], without, total)[0]

@@ -1,4 +1,8 @@
-"""The bundle adjustment of a board's views: unknowns, residuals, normal equations."""
+"""The bundle adjustment of a board's views: unknowns, residuals, normal equations.
+
+No print is exact and no plate is flat, so the board's shape is unknown, too: a stretch of its columns against its rows
+(Strobl, Hirzinger 2011), and a second-order bow (the deformation of mrcal, Kogan 2021).
+"""
 
 import contextlib
 from collections.abc import Callable, Sequence
@@ -16,6 +20,12 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 from spheremouse.geometry.statistics import mad_sigma
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+INTERIOR = len(PARAMETERS)
+SHAPE = 4  # unknowns of the board: stretch of its columns against its rows, and its bow by x², x y and y²
+SHARED = INTERIOR + SHAPE  # unknowns that all views have in common
+# Standard deviations before any photo. A printer that is 0.2 % off passes the check by a ruler of 100 mm, and a stiff
+# plate bows by half a percent: the corners of an A4 sheet by 0.7 mm.
+SHAPE_SIGMA = np.array([0.002, 0.005, 0.005, 0.005])
 MIN_SIGMA = 0.01  # px; of an edge 20 px long and 100 grey values high in 8 bits
 UNDETERMINED = (
     "the views leave the focal length open: the board faces the camera the same way in all of them; tilt it by 20 to "
@@ -37,6 +47,28 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
+class Plate:
+    """The extent of a board's corners."""
+
+    middle: Array  # (3,) m, in the board's frame
+    half: float  # m, half of the diagonal
+
+    @classmethod
+    def of(cls, points: Array) -> "Plate":
+        """Return the extent of corners (n, 3) m."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        return cls(0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-9))
+
+    def by_shape(self, points: Array) -> Array:
+        """Return how far corners (n, 3) m move by the four unknowns of the shape, (n, 3, 4) m."""
+        x, y, _ = (points - self.middle).T / self.half
+        moves = np.zeros((len(points), 3, SHAPE))
+        moves[:, 1, 0] = y
+        moves[:, 2, 1:] = np.stack([x * x, x * y, y * y], axis=1)
+        return self.half * moves
+
+
+@dataclass(frozen=True, slots=True)
 class BoardAdjustment:
     """The camera and its views, in the order in which they were given."""
 
@@ -50,6 +82,8 @@ class BoardAdjustment:
     covariance: Array  # (9 + 6 u, 9 + 6 u) of the nine, then rotation (rad, in cam) and translation of each used view
     contradiction: float  # factor on the variances for views that contradict each other; 1: they do not
     free: NDArray[np.bool_]  # (9,) unknowns that were estimated
+    bow: tuple[float, float]  # m, how far the corner farthest from the middle lies off the board's plane, and its sigma
+    stretch: tuple[float, float]  # of the columns against the rows, relative, and its sigma
 
     @property
     def rms(self) -> float:
@@ -77,16 +111,22 @@ class BoardAdjustment:
         return np.arccos(np.clip(np.abs(self.rotations[:, 2, 2]), 0.0, 1.0))
 
 
-def resect_views(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
-    """Return the poses R_cam_board, (v, 3, 3), and translation, (v, 3) m, of views of a known camera, and residuals."""
-    bundle = Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
-    x = np.concatenate([interior_vector(camera), poses_of(views, camera).ravel()])
+def resect_views(
+    views: Sequence[View], camera: InteriorOrientation, shape: Array | None = None, plate: Plate | None = None
+) -> tuple[Array, Array, tuple[Array, ...]]:
+    """Return the poses R_cam_board, (v, 3, 3), and translation, (v, 3) m, of views of a known camera, and residuals.
+
+    `shape` (4,) is that of the board on its `plate`; None: as printed.
+    """
+    bundle = Bundle(views, (camera.width, camera.height), np.zeros(SHARED, bool), plate)
+    shape = np.zeros(SHAPE) if shape is None else shape
+    x = np.concatenate([interior_vector(camera), shape, poses_of(views, camera).ravel()])
     for v, view in enumerate(views):  # one by one, as that is fast
         own = np.arange(len(views)) == v
         columns = unknowns_of(own)
         with contextlib.suppress(CalibrationError):  # then it keeps its start, and large residuals
-            x[columns] = Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
-    r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
+            x[columns] = Bundle([view], bundle.size, bundle.free, bundle.plate).solve(x[columns], np.ones(1))
+    r, t = split_poses(x)
     return exp(r), t, bundle.residuals(x)
 
 
@@ -98,20 +138,27 @@ def rms_of(residual: Array) -> float:
 class Bundle:
     """Residuals and Jacobian of some views.
 
-    The unknowns x, (9 + 6v,), are the nine `PARAMETERS`, then each view's rotation vector (rad) and translation (m).
+    The unknowns x, (13 + 6v,), are the nine `PARAMETERS`, the four of the board's shape, then each view's rotation
+    vector (rad) and translation (m). `free` (13,) selects those that are estimated. The shape is observed as 0 with
+    `SHAPE_SIGMA`. Corners of `plate` define its unit; None: those of the views.
     """
 
-    def __init__(self, views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_]) -> None:
+    def __init__(
+        self, views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_], plate: Plate | None = None
+    ) -> None:
         self.views, self.size, self.free = views, size, free
         self.points = np.concatenate([v.points for v in views])
         self.uv = np.concatenate([v.uv for v in views])
         self.counts = np.array([len(v.uv) for v in views])
         self.of = np.repeat(np.arange(len(views)), self.counts)
-        nine = np.broadcast_to(np.arange(9), (len(self.uv), 9))
-        six = 9 + 6 * self.of[:, None] + np.arange(6)
-        where = np.hstack([nine, six])
+        self.plate = plate or Plate.of(self.points)
+        self._by_shape = self.plate.by_shape(self.points)
+        self._weight = free[INTERIOR:] / SHAPE_SIGMA  # of the observed shape
+        shared = np.broadcast_to(np.arange(SHARED), (len(self.uv), SHARED))
+        six = SHARED + 6 * self.of[:, None] + np.arange(6)
+        where = np.hstack([shared, six])
         self._indices = np.repeat(where, 2, axis=0).ravel()
-        self._indptr = np.arange(2 * len(self.uv) + 1) * 15
+        self._indptr = np.arange(2 * len(self.uv) + 1) * (SHARED + 6)
         self._open = np.concatenate([free, np.ones(6 * len(views), bool)])
 
     @property
@@ -122,26 +169,29 @@ class Bundle:
 
     def only(self, used: NDArray[np.bool_]) -> "Bundle":
         """Return the adjustment of the views in a mask (v,)."""
-        return Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
+        return Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free, self.plate)
 
     def linear(self, x: Array) -> tuple[Array, Array]:
-        """Return computed minus measured, (n, 2) px, and its Jacobian, (n, 2, 15), by the nine and the view's six."""
+        """Return computed minus measured, (n, 2) px, and its Jacobian, (n, 2, 19), by the shared and the view's six."""
         camera = camera_of(x, self.size)
-        r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
-        turned = np.einsum("nij,nj->ni", exp(r)[self.of], self.points)
+        r, t = split_poses(x)
+        R = exp(r)[self.of]
+        turned = np.einsum("nij,nj->ni", R, self.points + self._by_shape @ x[INTERIOR:SHARED])
         cam = turned + t[self.of]
         uv, duv = project(cam, camera)
         if not np.all(np.isfinite(uv)):  # behind the camera: the largest residual
             uv, duv = np.nan_to_num(uv, nan=1e7), np.nan_to_num(duv)
-        J = np.empty((len(uv), 2, 15))
+        J = np.empty((len(uv), 2, SHARED + 6))
         z = np.where(cam[:, 2] > 0.0, cam[:, 2], 1.0)
-        J[:, :, :9] = interior_jacobian(cam[:, :2] / z[:, None], camera) * self.free
-        J[:, :, 9:12] = duv @ (-hat(turned) @ left_jacobian(r)[self.of])
-        J[:, :, 12:] = duv
+        J[:, :, :INTERIOR] = interior_jacobian(cam[:, :2] / z[:, None], camera)
+        J[:, :, INTERIOR:SHARED] = duv @ R @ self._by_shape
+        J[:, :, :SHARED] *= self.free
+        J[:, :, SHARED : SHARED + 3] = duv @ (-hat(turned) @ left_jacobian(r)[self.of])
+        J[:, :, SHARED + 3 :] = duv
         return uv - self.uv, J
 
     def evaluate(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals over the views' `sigma` (v,), (2n,), and their Jacobian, (2n, 9 + 6v)."""
+        """Return residuals over the views' `sigma` (v,), (2n,), and their Jacobian, (2n, 13 + 6v)."""
         residual, J = self.linear(x)
         weight = 1.0 / sigma[self.of]
         data = (J * weight[:, None, None]).reshape(-1)
@@ -149,7 +199,7 @@ class Bundle:
         return (residual * weight[:, None]).ravel(), jacobian
 
     def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
-        """Return the unknowns (9 + 6v,) at the minimum of squares, from the start x; fixed ones keep their value.
+        """Return the unknowns (13 + 6v,) at the minimum of squares, from the start x; fixed ones keep their value.
 
         `sigma` (v,) px is that of a coordinate in each view. With a knee `robust`, in sigmas, Huber's function replaces
         the square. Each view's six are eliminated. Raises CalibrationError if it does not converge.
@@ -159,12 +209,16 @@ class Bundle:
         def linear(x: Array) -> tuple[float, Callable[[], Normal]]:
             residual, J = self.linear(x)
             residual = residual * weight[:, None]
+            shape = self._weight * x[INTERIOR:SHARED]
 
             def normal() -> Normal:
                 w = huber(residual, robust)
-                return self._normal(residual * w, J * (weight[:, None] * w)[:, :, None])
+                found = self._normal(residual * w, J * (weight[:, None] * w)[:, :, None])
+                found.shared[INTERIOR:, INTERIOR:] += np.diag(self._weight**2)
+                found.right[INTERIOR:] -= self._weight * shape
+                return found
 
-            return huber_cost(residual, robust), normal
+            return huber_cost(residual, robust) + float(shape @ shape), normal
 
         def moved(x: Array, move: Move) -> Array:
             return x + np.concatenate([move.shared * self.free, move.own.ravel()])
@@ -175,12 +229,18 @@ class Bundle:
         starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
         N = np.add.reduceat(np.einsum("nki,nkj->nij", J, J), starts)
         down = -np.add.reduceat(np.einsum("nki,nk->ni", J, residual), starts)
-        return Normal(N[:, :9, :9].sum(axis=0), down[:, :9].sum(axis=0), N[:, 9:, 9:], N[:, 9:, :9], down[:, 9:])
+        k = SHARED
+        return Normal(N[:, :k, :k].sum(axis=0), down[:, :k].sum(axis=0), N[:, k:, k:], N[:, k:, :k], down[:, k:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals and Jacobian as `evaluate`, but only the e columns of estimated unknowns, (2n, e)."""
+        """Return residuals and Jacobian as `evaluate`, then those of the observed shape, (2n + 4,) and (2n + 4, e).
+
+        The columns are those of the e estimated unknowns.
+        """
         residual, J = self.evaluate(x, sigma)
-        return residual, J if self._open.all() else sparse.csr_array(J.tocsc()[:, np.flatnonzero(self._open)])
+        observed = sparse.csr_array((self._weight, (np.arange(SHAPE), np.arange(INTERIOR, SHARED))), (SHAPE, len(x)))
+        every = sparse.csr_array(sparse.vstack([J, observed]).tocsc()[:, np.flatnonzero(self._open)])
+        return np.concatenate([residual, self._weight * x[INTERIOR:SHARED]]), every
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return measured minus computed, (n, 2) px of each view."""
@@ -194,11 +254,16 @@ class Bundle:
 
 def unknowns_of(used: NDArray[np.bool_]) -> NDArray[np.intp]:
     views = np.flatnonzero(used)
-    return np.concatenate([np.arange(9), (9 + 6 * views[:, None] + np.arange(6)).ravel()])
+    return np.concatenate([np.arange(SHARED), (SHARED + 6 * views[:, None] + np.arange(6)).ravel()])
+
+
+def split_poses(x: Array) -> Array:
+    """Return rotation vectors and translations, (2, v, 3), of the unknowns of a `Bundle`."""
+    return x[SHARED:].reshape(-1, 2, 3).transpose(1, 0, 2)
 
 
 def camera_of(x: Array, size: tuple[int, int]) -> InteriorOrientation:
-    return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
+    return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:INTERIOR])
 
 
 def robust_sigma(residual: Array) -> float:

@@ -78,10 +78,16 @@ def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
     if share > 0.0:
         text = f"{100 * share:.1f} % of the picture, from {distance:.0f} px off the principal point on, have no ray"
         yield "note", f"{text}: there the lens model folds, and no disc can be used."
+    (bow, bow_sigma), (stretch, stretch_sigma) = found.bow, found.stretch
+    if bow > _MIN_SIGNIFICANCE * bow_sigma:
+        yield "note", f"The board is bent: its corners lie {1e3 * bow:.2g} mm off a plane. The result allows for that."
+    if abs(stretch) > _MIN_SIGNIFICANCE * stretch_sigma:
+        text = f"The print is {100 * abs(stretch):.2g} % {'longer' if stretch > 0.0 else 'shorter'} along its columns"
+        yield "note", f"{text} than along its rows. The result allows for that."
     if found.contradiction > 1.0:
         text = (
             "The views contradict each other more than the errors of their corners explain. So all standard deviations "
-            f"are {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
+            f"are {np.sqrt(found.contradiction):.1f} times larger. Did the board bend or move between the photos?"
         )
         yield "note", text + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?")
     dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))

@@ -118,10 +118,11 @@ def test_another_charuco_board_has_no_corners():
 def test_jacobian_is_the_finite_difference():
     rng = np.random.default_rng(8)
     R, t = places(3, rng)
-    bundle = bundle_module.Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
-    x = np.concatenate([TRUTH, np.stack([[log(r) for r in R], t], axis=1).ravel()])
+    bundle = bundle_module.Bundle(views(R, t, rng, 0.5), SIZE, np.ones(13, bool))
+    shape = np.array([0.002, 0.005, -0.003, 0.004])
+    x = np.concatenate([TRUTH, shape, np.stack([[log(r) for r in R], t], axis=1).ravel()])
     _, J = bundle.evaluate(x, np.array([0.1, 0.2, 0.3]))
-    steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(18, 1e-6)])
+    steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(4, 1e-5), np.full(18, 1e-6)])
     for k, step in enumerate(steps):
         d = step * np.eye(len(x))[k]
         plus, minus = (bundle.evaluate(x + s * d, np.array([0.1, 0.2, 0.3]))[0] for s in (1.0, -1.0))
@@ -173,8 +174,34 @@ def test_a_false_corner_is_left_out():
     assert [np.flatnonzero(~k).tolist() for k in found.kept] == [[17] if v == 3 else [] for v in range(10)]
 
 
+@pytest.mark.parametrize(("bow", "stretch"), [(0.0, 0.0), (0.02, 0.0), (0.0, 0.004), (-0.01, -0.002)])
+def test_a_board_need_not_be_flat_or_printed_true(bow, stretch):
+    """A plate that bows by `bow` of half its diagonal, or a print stretched along its columns, shifts no camera."""
+    rng = np.random.default_rng(21)
+    corners = PATTERN.corners()
+    plate = bundle_module.Plate.of(corners)
+    errors, chi_squares = [], []
+    for _ in range(8):
+        R, t = places(10, rng)
+        angle = rng.uniform(0.0, np.pi)
+        c, s = np.cos(angle), np.sin(angle)
+        shape = np.array([stretch, *(bow * np.array([c * c, 2.0 * c * s, s * s]))])
+        true = corners + plate.by_shape(corners) @ shape
+        given = []
+        for rotation, translation in zip(R, t, strict=True):
+            uv, _ = project(true @ rotation.T + translation, CAMERA)
+            given.append(View(corners, uv + rng.normal(0.0, 0.05, uv.shape)))
+        found = calibrate_board(given, SIZE)
+        error = nine(found.camera) - TRUTH
+        chi_squares.append(error @ np.linalg.solve(found.camera.covariance, error))
+        off = float(np.abs(true[:, 2]).max())
+        errors.append([(found.bow[0] - off) / found.bow[1], (found.stretch[0] - stretch) / found.stretch[1]])
+    assert np.sum(chi_squares) < chi2.isf(0.001, 72)
+    assert np.abs(errors).max() < 4.0
+
+
 def test_errors_common_to_a_view_widen_the_covariance():
-    """A bent print, seen from all sides: its errors are not independent, and corners alone would not tell."""
+    """A print that bends as it is held: its errors are not independent, and corners alone would not tell."""
     rng = np.random.default_rng(13)
     beyond, plain = [], []
     for _ in range(6):
