@@ -72,6 +72,10 @@ class Server:
         """End the page process."""
         end(self._page)
 
+    def signal_page(self, number):
+        """Send a signal to the page process."""
+        self._page.send_signal(number)
+
     def _answers(self):
         try:
             with urllib.request.urlopen(self.url) as reply:

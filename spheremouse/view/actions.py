@@ -109,7 +109,9 @@ class Actions:
         try:
             save_settings(file, keyed, root=None)
         except ConfigurationError as e:
-            raise ControlError(f"{e}", "while a recording plays, go back to the camera first") from None
+            raise ControlError(
+                f"{e}", "if a recording plays, go back to the camera first; else keep them by Export in Expert"
+            ) from None
         return f"{file}: saved {', '.join(changes)}"
 
 

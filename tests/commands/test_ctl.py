@@ -363,12 +363,18 @@ def test_the_kernel_says_who_runs_the_server(path, daemon, monkeypatch):
         assert client.is_trusted == (os.getuid() == 0)  # a server of root is trusted by all
 
 
-@pytest.mark.parametrize("config", [None, "/nowhere/config.yaml"])
-def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
+@pytest.mark.parametrize(
+    ("config", "reason"),
+    [
+        (None, "the daemon has no configuration file; start it with --config FILE to have one"),
+        ("/nowhere/config.yaml", "/nowhere/config.yaml: there is no such file; put it back, and save again"),
+    ],
+)
+def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config, reason):
     daemon.says(saved=None, config=config)
     code, out, err = ctl("save")
     assert (code, out) == (1, "")
-    assert err == "spheremouse: the daemon has no configuration file; start it with --config FILE to have one\n"
+    assert err == f"spheremouse: {reason}\n"
 
 
 def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it_is_set(ctl, daemon, tmp_path):

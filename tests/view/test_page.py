@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import signal
 import time
 
 import numpy as np
@@ -557,6 +558,17 @@ def test_the_picture_is_back_two_seconds_after_another_page_process_answers(sear
     service.start_page()
     check_first_picture(searched)
     searched.get_by_text("tracking", exact=True).wait_for()
+
+
+@pytest.mark.slow
+def test_a_page_process_that_stands_still_is_reported(page, service):
+    service.signal_page(signal.SIGSTOP)
+    try:
+        page.get_by_text("offline", exact=True).wait_for()
+        assert "does not answer" in page.locator("#reason").inner_text()
+    finally:
+        service.signal_page(signal.SIGCONT)
+    page.get_by_text("tracking", exact=True).wait_for()
 
 
 @pytest.mark.slow

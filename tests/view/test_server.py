@@ -231,6 +231,18 @@ def test_save_keeps_the_comments_and_export_and_import_are_inverse(world, page):
         assert "the imported file:1" in browser.ask("do", action="import", arguments={"text": "motion: ["})["text"]
 
 
+def test_settings_that_cannot_be_saved_stay_with_the_reason_and_a_remedy(world, page):
+    with Browser(page) as browser:
+        browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
+        world.config.write_text("motion: [")
+        assert "config.yaml:1: not YAML" in (text := act(browser, "save")["text"])
+        assert "Export in Expert" in text
+        assert world.config.read_text() == "motion: ["
+        world.config.unlink()
+        assert "config.yaml: there is no such file; put it back" in act(browser, "save")["text"]
+        assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0"]
+
+
 def test_where_the_daemon_saves_itself_the_page_leaves_it_to_it(film, tmp_path, monkeypatch):
     world = World(film, tmp_path)
     monkeypatch.setattr("spheremouse.session.outputs.open_output", world.open_output)

@@ -278,7 +278,9 @@ def settings_to_save(
             "spheremouse ctl set KEY=VALUE --save --config FILE"
         )
     file = config or (None if status.config is None else Path(status.config))
-    if file is None or not file.is_file():
+    if file is not None and not file.is_file():
+        raise ControlError(f"{file}: there is no such file", "put it back, and save again")
+    if file is None:
         raise ControlError("the daemon has no configuration file; start it with --config FILE to have one")
     return file, changes
 

@@ -6,6 +6,7 @@
 const RETRY_MS = [100, 250, 500];
 const ANSWER_MS = 20000; // the page process reports progress every 2 s
 const PICTURE_MS = 2000; // the page process answers `next` within 0.5 s
+const MAX_SILENT = 4; // questions for a picture in a row during which no message came
 
 /**
  * @typedef {object} Handlers
@@ -21,6 +22,7 @@ export class Link {
   #id = 0;
   #attempts = 0;
   #pictureTimer = 0;
+  #silent = 0; // questions for a picture since the last message
   #decoder = new TextDecoder();
   #handlers;
 
@@ -38,10 +40,11 @@ export class Link {
       if (!document.hidden) this.#next();
     });
     socket.addEventListener("message", (event) => {
+      this.#silent = 0;
       if (typeof event.data === "string") this.#text(JSON.parse(event.data));
       else void this.#binary(event.data);
     });
-    socket.addEventListener("close", () => this.#closed());
+    socket.addEventListener("close", () => socket === this.#socket && this.#closed());
     this.#socket = socket;
   }
 
@@ -72,7 +75,8 @@ export class Link {
 
   #next() {
     clearTimeout(this.#pictureTimer);
-    if (this.#send({ type: "next" })) this.#pictureTimer = setTimeout(() => this.#next(), PICTURE_MS);
+    if (this.#silent++ > MAX_SILENT) this.#closed(); // the page process stands still
+    else if (this.#send({ type: "next" })) this.#pictureTimer = setTimeout(() => this.#next(), PICTURE_MS);
   }
 
   #rest() {
@@ -123,6 +127,8 @@ export class Link {
 
   #closed() {
     clearTimeout(this.#pictureTimer);
+    this.#socket?.close();
+    [this.#socket, this.#silent] = [null, 0];
     for (const id of [...this.#requests.keys()])
       this.#answer(id)?.reject(new Error("The page process ended before it answered."));
     this.#handlers.lost();
