@@ -202,8 +202,10 @@ def test_nees_of_runs_drawn_from_the_own_model():
     assert low < nis < high
 
 
-@pytest.mark.parametrize("sigma", [SIGMA, 1e-9])
-def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
+@pytest.mark.parametrize(
+    ("sigma", "updates"), [(SIGMA, 5000), (1e-9, 1000), pytest.param(1e-9, 5000, marks=pytest.mark.slow)]
+)
+def test_covariance_stays_symmetric_and_positive(sigma, updates):
     """Random attitudes in small steps, random subsets of the discs, pose and ball considered; down to float noise."""
     rng = np.random.default_rng(42)
     considered = block_diag(*(np.cov(rng.normal(size=(k, 3 * k))) for k in (6, 4))) * 1e-8
@@ -211,7 +213,7 @@ def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
     state = own.initial(0.0, np.eye(3))
     R = np.eye(3)
     worst = 0.0
-    for k in range(5000):
+    for k in range(updates):
         R = exp(3e-4 * rng.normal(size=3)) @ R
         p = seen(R)
         some = rng.random(len(p)) < 0.6
