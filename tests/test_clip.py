@@ -6,6 +6,7 @@ reaches 24 deg/s; bolts, struts and a room of false candidates are in view.
 
 import hashlib
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.session.evaluate import ball_reports, numbered_frames, run_ball
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
+README = Path(__file__).parents[1] / "README.md"
 # SHA-256 of the frames as OpenCV gave them for the recording itself
 PIXELS = "496a5706d0b4a9948d538f8f1765bc9bfb67333c238568031b6c19b4358850d8"
 
@@ -53,6 +55,15 @@ def test_the_clip_is_the_beginning_of_the_recording(far26):
 def test_every_frame_is_tracked(figures):
     assert figures["frames"] == figures["tracked"] == 50
     assert figures["lost_episodes"] == 0
+
+
+def test_the_readme_has_these_figures(figures):
+    if figures["tracker"] != "so3":
+        pytest.skip("the README has those of so3")
+    row = next(line for line in README.read_text().splitlines() if line.startswith("| `far26_clip`"))
+    attitude, rate = (float(re.search(rf"([\d.]+){unit} \|", row)[1]) for unit in ("°", " °/s"))
+    assert attitude == pytest.approx(figures["attitude_rmse_deg"]["combined"], abs=1e-3)
+    assert rate == pytest.approx(figures["rate_rmse_deg_s"]["combined"], abs=1e-2)
 
 
 def test_attitude_and_rate(figures):
