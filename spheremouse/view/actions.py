@@ -109,9 +109,7 @@ class Actions:
         try:
             save_settings(file, keyed, root=None)
         except ConfigurationError as e:
-            raise ControlError(
-                f"{e}", "if a recording plays, go back to the camera first; else keep them by Export in Expert"
-            ) from None
+            raise ControlError(f"{e}", "if a recording plays, leave it first; else use Export in Expert") from None
         return f"{file}: saved {', '.join(changes)}"
 
 

@@ -296,10 +296,9 @@ FILES = {
 
 
 def _visitor(access: Access, request: HTTPConnection) -> Visitor | None:
-    """Return who sent a request, or None if access is refused."""
+    """Return who sent a request, or None if access is refused. A client at the page's address is on this computer."""
     headers, client, (address, _) = request.headers, request.client, request.scope["server"]
     return access.visitor(
-        # A client at the address of the page itself is on this computer.
         "" if client is None else "127.0.0.1" if client.host == address else client.host,
         headers.get("host", ""),
         headers.get("origin"),

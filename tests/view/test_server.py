@@ -620,5 +620,17 @@ def test_too_many_browsers_are_turned_away(alone, monkeypatch):
 
 
 def test_the_process_loads_neither_scipy_nor_opencv():
-    code = "import sys, spheremouse.view.server; print(*({'scipy', 'cv2', 'matplotlib'} & set(sys.modules)))"
+    code = (
+        "import sys, spheremouse.view.server; "
+        "print(*(m for m in sys.modules if m.split('.')[0] in ('scipy', 'cv2', 'matplotlib') or '.native.' in m))"
+    )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_the_page_stays_small():
+    def lines(*patterns):
+        files = [file for pattern in patterns for file in Path(server_module.__file__).parent.glob(pattern)]
+        return sum(len(file.read_text().splitlines()) for file in files)
+
+    assert lines("*.py") <= 1200
+    assert lines("static/*.js", "static/*.css") <= 2800
