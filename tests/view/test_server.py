@@ -308,10 +308,10 @@ def test_the_guide_gives_the_reason_why_a_camera_shows_nothing_to_the_owner_alon
         Browser(port, owner=False) as stranger,
         Browser(port) as browser,
     ):
-        assert "token" in guided(stranger, do="look")["text"]
+        assert "only the owner" in guided(stranger, do="look")["text"]
         guided(browser, do="look")
         assert "/dev/no-camera: no such device" in browser.until("guide", lambda m: m["problem"])["problem"]
-        assert "token" in guided(stranger, do="look")["text"]
+        assert "only the owner" in guided(stranger, do="look")["text"]
         assert not [m for m in stranger.seen if m["type"] == "guide"]
 
 

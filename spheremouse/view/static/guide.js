@@ -78,6 +78,7 @@ export class GuidePanel {
     this.#steps.replaceChildren(...steps.map((/** @type {Step} */ step) => el("li", { class: step.state.replace(" ", "-") },
       el("b", {}, step.state), el("span", {}, step.name + (step.found ? `: ${step.found}` : "")), ...(step.state === "next" ? this.#task(step, device) : []))));
     if (focused) this.#look.focus();
+    this.#steps.querySelector(".next")?.scrollIntoView({ block: "nearest" }); // below the output of the last one
   }
 
   /**

@@ -57,7 +57,7 @@ const recordings = new RecordingsPanel(perform);
 async function perform(action, words = {}, progress = undefined) {
   try {
     const done = await link.request("do", { action, arguments: words }, progress);
-    showMessage(done.message.startsWith("/") ? `Written: ${done.message}` : done.message, false);
+    showMessage(/^\/[^:]*$/.test(done.message) ? `Written: ${done.message}` : done.message, false);
     return done;
   } catch (error) {
     showMessage(/** @type {Error} */ (error).message, true);

@@ -133,11 +133,12 @@ export class ExpertPanel {
 
   #show() {
     const words = this.#search.value.trim().toLowerCase().split(/\s+/);
+    const isSought = (/** @type {Setting} */ { key, meaning }) => words.every((w) => `${key} ${meaning}`.toLowerCase().includes(w));
+    const inTune = [...this.#settings.all.values()].filter((s) => TUNE.includes(s.key) && isSought(s)).length;
     let shown = 0;
     for (const { setting, element, show } of this.#controls) {
       show();
-      const text = `${setting.key} ${setting.meaning}`.toLowerCase();
-      element.hidden = !words.every((w) => text.includes(w)) || (this.#changed.checked && !this.#isChanged(setting));
+      element.hidden = !isSought(setting) || (this.#changed.checked && !this.#isChanged(setting));
       shown += Number(!element.hidden);
     }
     for (const section of this.#list.children) {
@@ -150,7 +151,7 @@ export class ExpertPanel {
     const loaded = this.#controls.length > 0;
     this.#export.disabled ||= !loaded;
     this.#import.disabled ||= !loaded;
-    setText(this.#count, !loaded ? NO_SETTINGS : `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.`);
+    setText(this.#count, !loaded ? NO_SETTINGS : `${shown} of ${this.#controls.length} settings shown, ${changed.length} differ from the default.${words[0] && inTune ? ` Tune has ${inTune} more.` : ""}`);
   }
 }
 
