@@ -66,11 +66,19 @@ def given(overrides: CommandLineOverrides) -> tuple[str, ...]:
 
 
 def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[dict[str, Any]]:
-    """Return the settings that the tracker of a plan reads, as `config.described`; `live`: `set` can change it."""
+    """Return the settings that the tracker of a plan reads, as `config.described`.
+
+    `saved` is the value without the changes by `set`. `live` is true if `set` can change the value.
+    """
+    saved = {dotted(key): value for key, value in config.parameters(plan.without_changes)}
     fixed = (*AT_START, "map") if overrides.no_map else AT_START
     described = ((about, about["key"].partition(".")[0]) for about in config.described(plan.configuration))
     unread = _UNREAD[plan.configuration.tracker]
-    return [{**about, "live": section not in fixed} for about, section in described if section not in unread]
+    return [
+        {**about, "saved": saved[about["key"]], "live": section not in fixed}
+        for about, section in described
+        if section not in unread
+    ]
 
 
 def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]) -> None:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spheremouse.errors import ControlError
-from spheremouse.files.config import key_of
 from spheremouse.session.control.client import Client, RefusedError
 
 Message = dict[str, Any]
@@ -94,12 +93,12 @@ class DaemonLink:
         return {"type": "status", "status": self.status, "reason": self.trouble.problem, "hint": self.trouble.hint}
 
     def values(self) -> Message:
-        """Return the values of all settings, the keys of those that no file has, and the number of undo steps."""
-        changes = (self.status or {}).get("changes") or []
+        """Return the values of all settings, the keys of those that are not saved, and the number of undo steps."""
+        settings = self.described.settings
         return {
             "type": "values",
-            "values": {about["key"]: about["value"] for about in self.described.settings},
-            "unsaved": [key_of(change) for change in changes],
+            "values": {about["key"]: about["value"] for about in settings},
+            "unsaved": [about["key"] for about in settings if about["value"] != about.get("saved", about["value"])],
             "undo": len(self._undo),
         }
 
@@ -183,7 +182,7 @@ class DaemonLink:
                 before, self.described = self.described, await asyncio.to_thread(_describe, self.socket)
             self._described_for = described_for
             _, scene, profiles = self.described
-            bare = [[{**about, "value": None} for about in d.settings] for d in (before, self.described)]
+            bare = [[{**about, "value": None, "saved": None} for about in d.settings] for d in (before, self.described)]
             if bare[0] != bare[1] or profiles != before.profiles:
                 self.publish(self.hello())
             elif scene != before.scene:

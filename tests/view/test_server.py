@@ -181,7 +181,8 @@ def test_a_change_reaches_the_daemon_and_every_browser_and_a_gesture_is_one_step
         world.client.ask("set", assignments=["motion.scale_y=4"])
         other.until("values", lambda m: m["values"].get("motion.scale_y") == 4.0)
         assert one.ask("do", action="undo")["type"] == "done"
-        assert other.until("values", lambda m: m["values"]["motion.scale_x"] == 1.0)["undo"] == 0
+        undone = other.until("values", lambda m: m["values"]["motion.scale_x"] == 1.0)
+        assert (undone["undo"], undone["unsaved"]) == (0, ["motion.scale_y"])  # the value of the file is back
         assert "nothing was changed" in one.ask("do", action="undo")["text"]
 
 

@@ -37,7 +37,7 @@ export class Settings {
    * @param {Setting[]} settings
    */
   load(settings) {
-    const bare = (/** @type {Iterable<Setting>} */ all) => JSON.stringify([...all].map((s) => ({ ...s, value: 0 })));
+    const bare = (/** @type {Iterable<Setting>} */ all) => JSON.stringify([...all].map((s) => ({ ...s, value: 0, saved: 0 })));
     const rebuilt = bare(this.all.values()) !== bare(settings);
     this.all = new Map(settings.map((s) => [s.key, s]));
     this.#queue = [];
