@@ -165,7 +165,7 @@ def adjust_bundle(
     used = np.ones(len(image), dtype=bool)
     factors, robust = np.ones(2), _HUBER_KNEE
     for _ in range(40):
-        used &= np.bincount(image.point, used, minlength=len(points))[image.point] >= 2
+        used &= _fixed(image, used, block, points, n, device.disc_radius)[image.point]
         kept, index = np.unique(image.point[used], return_inverse=True)
         _require_targets(kept, device)
         factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
@@ -326,6 +326,27 @@ def image_rms(problem: Problem, solution: Solution) -> float:
     """Return the RMS per axis of the image points, px."""
     residual = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
     return float(np.sqrt(np.mean(residual**2)))
+
+
+def _fixed(
+    image: ImagePoints, used: NDArray[np.bool_], block: Block, points: Array, targets: int, depth: float
+) -> NDArray[np.bool_]:
+    """Return True for `points`, (m,), that two used photos show, discs from directions that fix their depth.
+
+    The first points are the `targets`. The depth of a disc needs a standard deviation below `depth` m, a disc's radius.
+    Rays of photos from one place do not fix it: in the adjustment the disc would run to infinity.
+    """
+    fixed = np.bincount(image.point, used, minlength=len(points)) >= 2
+    positions = np.array([pose.position for pose in block.poses])
+    for k in targets + np.flatnonzero(fixed[targets:]):
+        mine = np.flatnonzero(used & (image.point == k))
+        way = points[k] - positions[image.photo[mine]]
+        length = np.linalg.norm(way, axis=1)
+        ray = way / length[:, None]
+        parallax = np.linalg.norm(ray[:, None] - ray[None], axis=2)
+        sigma = length * np.sqrt(np.trace(image.covariance[mine], axis1=1, axis2=2) / 2.0) / block.camera.fx
+        fixed[k] = np.any(np.hypot(sigma[:, None], sigma[None]) < depth * parallax)
+    return fixed
 
 
 def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:

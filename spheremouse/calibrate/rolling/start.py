@@ -38,6 +38,7 @@ _MAX_PAIRS, _MIN_PAIRS = 120, 5  # of frames
 _LAG_FRAMES = (1, 2, 4, 8, 16, 32, 64)
 _RESIDUAL_SCALE_PX = 1.0  # px; spots are exact to some tenths, the model to the rest
 _MIN_BALL_SHARE = 0.3  # of the moving spots on the ball
+_MAX_LIMB_ANGLE = float(np.deg2rad(75.0))  # between the optical axis and the limb: no lens with this model sees farther
 _CENTRES, _SIZES = 11, 15  # nodes of the search
 _COARSE_STEP = 4  # every so many pairs while searching
 _REWEIGHTINGS = 3  # of the rotation between two frames, by its last residuals
@@ -217,9 +218,13 @@ def _rotating_ball(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[
         return None
     if np.median(residual[hit]) > _RESIDUAL_SCALE_PX or np.mean(residual[hit] < 3.0 * _RESIDUAL_SCALE_PX) < 0.5:
         return None
+    direction, ratio = _direction_and_ratio(best)
+    # a sheet that slides fits an endless ball that touches the camera
+    if np.arccos(direction[2]) + np.arcsin(1.0 / ratio) > _MAX_LIMB_ANGLE:
+        return None
     fits = pairs.present & (residual < 3.0 * _RESIDUAL_SCALE_PX)
     fitting, total = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.present))
-    return *_direction_and_ratio(best), [p for p, k, n in zip(paths, fitting, total, strict=True) if 2 * k > n]
+    return direction, ratio, [p for p, k, n in zip(paths, fitting, total, strict=True) if 2 * k > n]
 
 
 def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.device import DistanceError
 from spheremouse.calibrate.device import calibrate as calibrate_module
+from spheremouse.calibrate.device.bundle import ImagePoints
 from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
@@ -178,6 +179,47 @@ def test_covariances_are_true_over_many_calibrations(scale_free):
         low, high = chi2.ppf([0.001, 0.999], freedom * RUNS) / (freedom * RUNS)
         # poses of one calibration share most of their errors: as many degrees of freedom as one of them has
         assert low < np.mean(errors[name]) < high, name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_photos_from_one_place_fix_no_depth(seed):
+    """Discs that only these two show would run to infinity, and the adjustment would not come to rest."""
+    rng = np.random.default_rng(seed)
+    simulated = simulated_calibration(rng)
+    again = len(simulated.poses)
+
+    def repeated(photo, others, centre, covariance):
+        mine = photo == again - 1
+        noisy = centre[mine] + 0.05 * rng.standard_normal((np.count_nonzero(mine), 2))
+        return (
+            np.append(photo, np.full(np.count_nonzero(mine), again)),
+            np.append(others, others[mine]),
+            np.concatenate([centre, noisy]),
+            np.concatenate([covariance, covariance[mine]]),
+        )
+
+    views, discs, start = simulated.views, simulated.discs, simulated.start
+    image = views.image
+    mine = image.photo == again - 1
+    image = ImagePoints(*repeated(image.photo, image.point, image.centre, image.covariance))
+    views = replace(
+        views, photos=(*views.photos, again), image=image, depth=np.concatenate([views.depth, views.depth[mine]])
+    )
+    only_there = discs.disc[discs.photo == again - 1][:6]
+    kept = (discs.photo == again - 1) | ~np.isin(discs.disc, only_there)
+    parts = (discs.photo[kept], discs.disc[kept], discs.centre[kept], discs.covariance[kept])
+    photo, disc, centre, covariance = repeated(*parts)
+    discs = replace(discs, photo=photo, disc=disc, centre=centre, covariance=covariance)
+    simulated = replace(
+        simulated,
+        views=views,
+        discs=discs,
+        start=replace(start, poses=(*start.poses, start.poses[-1])),
+        poses=(*simulated.poses, simulated.poses[-1]),
+    )
+    found = calibrated(simulated)
+    assert normalised_errors(simulated, found)["ball"] < chi2.isf(0.001, 4) / 4.0
+    assert np.abs(np.linalg.norm(found.discs, axis=1) - found.radius).max() < 0.01
 
 
 def repainted(image, pose, camera, discs, turn):

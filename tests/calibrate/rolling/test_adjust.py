@@ -225,6 +225,21 @@ def test_nothing_that_moves_is_no_ball():
         start(rest, CAMERA)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_sheet_that_slides_is_no_ball(seed):
+    """It fits a ball without end whose surface touches the camera."""
+    rng = np.random.default_rng(seed)
+    marks = np.column_stack([rng.uniform(-1.5, 1.5, 40), rng.uniform(-1.2, 1.2, 40)])
+    seen = []
+    for t in np.arange(150) / 15.0:
+        place = marks + np.array([0.5 * np.sin(0.9 * t), 0.4 * np.sin(0.7 * t + 1.0)])
+        place = place[np.linalg.norm(place, axis=1) < 0.75]
+        centre = np.array([CAMERA.cx, CAMERA.cy]) + 0.5 * CAMERA.fx * place + rng.normal(0.0, 0.1, place.shape)
+        seen.append(Spots(centre, np.full(len(centre), 120.0)))
+    with pytest.raises(CalibrationError, match="do not turn as one ball"):
+        start(seen, CAMERA)
+
+
 def test_spots_that_share_no_rotation_are_no_ball():
     rng = np.random.default_rng(4)
     place, way = rng.uniform([150, 100], [450, 350], (8, 2)), rng.normal(0.0, 1.5, (8, 2))
