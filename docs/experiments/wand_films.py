@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.kit.balls import contrast_ball, led_ball
-from spheremouse.evaluation.wand import WandHistory, WandRun, followed, found_from, is_lost
+from spheremouse.evaluation.wand import WandHistory, WandRun, assign_truths, found_from, is_lost
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import open_wand
 from spheremouse.geometry.rotation import Array
@@ -147,7 +147,7 @@ def kept_of(runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence
     """Return the stored part of a run with each ball. Equal balls have numbers in the order of detection."""
     return [
         _kept(run, truth, ball.radius)
-        for run, ball, truth in zip(runs, balls, followed(runs, balls, truths, balls), strict=True)
+        for run, ball, truth in zip(runs, balls, assign_truths(runs, balls, truths, balls), strict=True)
         if truth is not None
     ]
 

@@ -23,6 +23,7 @@ from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM
 from spheremouse.ball.filters.so3_settings import (
     DWELL_S,
     PERSISTENCE_S,
+    UNKNOWN_RATE_FACTOR,
     So3Settings,
     activity_of,
     prior_of_levels,
@@ -256,7 +257,7 @@ def smooth_interval(
 
 def _start(observation: Observation, settings: So3Settings) -> Motion:
     """Return the motion before the first frame of an interval."""
-    sigma = np.repeat([PLACED, 2.5 * settings.start_rate_sigma, usual_acceleration(settings)], 3)
+    sigma = np.repeat([PLACED, UNKNOWN_RATE_FACTOR * settings.start_rate_sigma, usual_acceleration(settings)], 3)
     return Motion(observation.estimate.rotation, np.zeros(3), np.zeros(3), np.diag(sigma**2))
 
 

@@ -59,7 +59,7 @@ def rotation_error(run: WandRun, truth: WandTruth) -> Array:
     return error
 
 
-def followed(
+def assign_truths(
     runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth], filmed: Sequence[WandBall]
 ) -> list[WandTruth | None]:
     """Return the truth for each run. `runs` are those of the tracker's `balls`, `truths` those of the `filmed` balls.
@@ -144,10 +144,10 @@ def wand_report(
 ) -> dict[str, Any]:
     """Return all metrics of runs over one recording, each with another seed or ball, as `evaluate --json` writes them.
 
-    `truth` is that of the ball, or one for each run (`followed`). `dataset` is the name in the report, `frames` the
-    length of the recording, and `radius` (m) the ball's. Errors are over all frames with a pose of all runs, and
-    percentiles are of absolute values. `fps` is frames per second of the tracker's own time, with first frame and
-    searches.
+    `truth` is that of the ball, or one for each run (see `assign_truths`). `dataset` is the name in the report,
+    `frames` the length of the recording, and `radius` (m) the ball's. Errors are over all frames with a pose of all
+    runs, and percentiles are of absolute values. `fps` is frames per second of the tracker's own time, with first frame
+    and searches.
     """
     tracked = [int(run.found.sum()) for run in runs]
     report: dict[str, Any] = {

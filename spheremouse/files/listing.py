@@ -24,9 +24,10 @@ class Listed(NamedTuple):
 
 
 def list_recordings(folders: Sequence[Path]) -> list[Listed]:
-    """Return the recordings in these folders, the newest first. Of two with the same name, the first folder's counts.
+    """Return the recordings in these folders, the newest first, at most 200.
 
-    Raises ConfigurationError if a folder cannot be read.
+    If two folders have a recording of the same name, the first folder's counts. Raises ConfigurationError if a folder
+    cannot be read.
     """
     found: dict[str, Path] = {}
     try:

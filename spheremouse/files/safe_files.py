@@ -222,18 +222,18 @@ class NewFolder:
     """
 
     def __init__(self, path: Path, error: type[SpheremouseError]) -> None:
-        """Make nothing yet. Raises `error` if `path` is a file."""
+        """Prepare the folder `path`; only `make` writes to the disk. Raises `error` if `path` is a file."""
         if path.exists() and not path.is_dir():
             raise error(f"{path}: is a file; name a folder")
-        self._place, self._error = path, error
+        self._target, self._error = path, error
         self._old: Path | None = None  # hidden name of the folder that is being replaced
         self.path = _hidden_name(path)
 
     def make(self) -> Path:
         """Make the folder, empty, and return `path`; raise the error of the constructor if that fails."""
-        with os_errors_as(self._error, f"{self._place}: cannot be written"):
-            self._place.parent.mkdir(parents=True, exist_ok=True)
-            refuse_shared_folder(self._place.parent)
+        with os_errors_as(self._error, f"{self._target}: cannot be written"):
+            self._target.parent.mkdir(parents=True, exist_ok=True)
+            refuse_shared_folder(self._target.parent)
             self.path.mkdir(0o700)
         return self.path
 
@@ -242,13 +242,13 @@ class NewFolder:
 
         Raises OSError; the old folder is then put back if possible.
         """
-        if not self._place.exists():
-            os.replace(self.path, self._place)
+        if not self._target.exists():
+            os.replace(self.path, self._target)
             return
-        self._old = _hidden_name(self._place)
+        self._old = _hidden_name(self._target)
         try:
-            os.replace(self._place, self._old)
-            os.replace(self.path, self._place)
+            os.replace(self._target, self._old)
+            os.replace(self.path, self._target)
         finally:
             self._clear_old()
 
@@ -261,11 +261,11 @@ class NewFolder:
         """Remove the old folder; put it back if the new one has not reached its place."""
         if self._old is None:
             return
-        if self._place.exists():
+        if self._target.exists():
             shutil.rmtree(self._old, ignore_errors=True)
         else:
             with contextlib.suppress(OSError):
-                os.replace(self._old, self._place)
+                os.replace(self._old, self._target)
 
 
 # ---- refuse folders to root ----

@@ -81,7 +81,7 @@ def save_wand(
     colours: Mapping[str, ColourSettings] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a file, whole or not at all; it reads back to the same ball."""
+    """Write the file of a ball, whole or not at all. `load_wand` returns the same ball from it."""
     write_atomically(path, wand_text(ball, colours, provenance))
 
 

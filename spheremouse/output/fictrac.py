@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FRAMES = ("camera", "window")
 _QUARTER_HOUR_S = 900.0  # s; clocks change at its ends alone
 R_LAB_OBJ = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-_UNKNOWN_COVARIANCE = [[np.nan] * 3] * 3
+_UNKNOWN_ROTATION = [[np.nan] * 3] * 3
 _R_LAB_CAM = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -41,7 +41,7 @@ class FicTrac:
         """
         self._window = frame == "window"
         self._camera: Pose | None = None  # of the line before
-        self._R_cam = _UNKNOWN_COVARIANCE  # its rotation from obj
+        self._R_cam = _UNKNOWN_ROTATION  # its rotation from obj
         c, s = cos(radians(forward)), sin(radians(forward))
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         self._R_lab = {"obj": (turn @ R_LAB_OBJ).tolist(), "cam": (turn @ _R_LAB_CAM).tolist()}
@@ -68,7 +68,7 @@ class FicTrac:
         estimate = sample.estimate
         increment, attitude = estimate.increment.tolist()[:3], _rotation_vector(estimate.rotation)
         variance = sum(estimate.increment_covariance.diagonal().tolist()[:3])
-        R_cam, R_lab = self._camera_axes(sample), self._R_lab[sample.coordinates]
+        R_cam, R_lab = self._rotation_to_camera(sample), self._R_lab[sample.coordinates]
         lab = _rotated(R_lab, increment)
         forward, side = lab[1], -lab[0]
         self._integrate(forward, side, -lab[2])
@@ -92,18 +92,16 @@ class FicTrac:
         self._forward += forward
         self._side += side
 
-    def _camera_axes(self, sample: Sample) -> list[list[float]]:
+    def _rotation_to_camera(self, sample: Sample) -> list[list[float]]:
         """Return the rotation from the still axes to the camera or the window, (3, 3); nan if it is unknown."""
         if sample.coordinates == "cam":
             return (_window_axes(sample.position) if self._window else np.eye(3)).tolist()
         if sample.camera is not self._camera:
-            self._camera, self._R_cam = (
-                sample.camera,
-                _UNKNOWN_COVARIANCE if sample.camera is None else self._axes(sample.camera),
-            )
+            self._camera = sample.camera
+            self._R_cam = _UNKNOWN_ROTATION if sample.camera is None else self._rotation_from_obj(sample.camera)
         return self._R_cam
 
-    def _axes(self, camera: "Pose") -> list[list[float]]:
+    def _rotation_from_obj(self, camera: "Pose") -> list[list[float]]:
         window = _window_axes(camera.to_cam(np.zeros(3))) if self._window else np.eye(3)
         return (window @ camera.rotation.T).tolist()
 

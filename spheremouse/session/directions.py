@@ -19,20 +19,20 @@ class Directions:
 
     axes: Array  # (3, 3) unit vectors in obj or cam: about which the ball turns, or along which it is shifted
     words: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]  # along each, and against
-    part: slice  # of (6,) turn and shift
-    unit: str  # of a rate, as it is written
-    factor: float  # from rad/s or m/s to it
-    least: float  # of that unit, below which the ball is at rest
+    part: slice  # of (6,) `Estimate.rate`: rotation, or translation
+    unit: str  # of a displayed rate
+    factor: float  # from rad/s or m/s to `unit`
+    min_rate: float  # in `unit`, below which the ball is at rest
 
     def motion(self, estimate: Estimate) -> MotionStatus:
         """Return the rate of an estimate for the status."""
         rate = self.factor * self.axes @ estimate.rate[self.part]
-        return MotionStatus(rate=rate.tolist(), unit=self.unit, words=self.said(rate))
+        return MotionStatus(rate=rate.tolist(), unit=self.unit, words=self.in_words(rate))
 
-    def said(self, rate: Array) -> str:
-        """Return a rate (3,) in words."""
-        least = max(self.least, _MIN_SHARE * float(np.max(np.abs(rate))))
-        digits = 0 if self.least >= 1.0 else 2
+    def in_words(self, rate: Array) -> str:
+        """Return a rate (3,) of the unit `unit` in words; parts below a tenth of the largest are left out."""
+        least = max(self.min_rate, _MIN_SHARE * float(np.max(np.abs(rate))))
+        digits = 0 if self.min_rate >= 1.0 else 2
         parts = [
             f"{words[value < 0.0]} {abs(value):.{digits}f} {self.unit}"
             for value, words in zip(rate.tolist(), self.words, strict=True)
@@ -44,13 +44,17 @@ class Directions:
 def of_ball(settings: MotionSettings) -> Directions:
     """Return the directions of a ball in its frame, as the player sees its top move."""
     words = ("right", "left"), ("towards you", "away from you"), ("counter-clockwise", "clockwise")
-    return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)
+    return _of_rotation(settings.directions(), words)
 
 
 def of_hand(settings: PointingSettings) -> Directions:
     """Return the directions of a hand-held ball, as its holder sees it."""
     if settings.by == "turn":
         words = ("right", "left"), ("down", "up"), ("clockwise", "counter-clockwise")
-        return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)
+        return _of_rotation(settings.directions(), words)
     words = ("right", "left"), ("down", "up"), ("ahead", "back")
-    return Directions(settings.directions(), words, slice(3, 6), "m/s", 1.0, 0.01)
+    return Directions(settings.directions(), words, part=slice(3, 6), unit="m/s", factor=1.0, min_rate=0.01)
+
+
+def _of_rotation(axes: Array, words: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]) -> Directions:
+    return Directions(axes, words, part=slice(0, 3), unit="°/s", factor=np.degrees(1.0), min_rate=1.0)

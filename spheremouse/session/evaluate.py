@@ -14,7 +14,7 @@ from spheremouse.ball.state import Tracker
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluation.metrics import report
 from spheremouse.evaluation.run import History, Reference
-from spheremouse.evaluation.wand import WandHistory, followed, wand_report
+from spheremouse.evaluation.wand import WandHistory, assign_truths, wand_report
 from spheremouse.files.dataset.ball import Recording
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.files.dataset.wand import WandRecording
@@ -144,17 +144,21 @@ def run_wand(frames: Iterable[Frame], tracker: WandTracker, seed: int = 1, known
 def wand_reports(
     recording: WandRecording, balls: Sequence[WandBall], histories: Sequence[WandHistory]
 ) -> dict[str, Any]:
-    """Compare each ball with the ball of the film that it follows. Other balls are in `more_balls` of the first."""
+    """Return the metrics of the first ball over all runs; those of the other balls are in its `more_balls`.
+
+    `assign_truths` decides which filmed ball gives the truth for each tracked one.
+    """
     runs = [[history.run(k) for k in range(len(balls))] for history in histories]
-    truths = [followed(each, balls, recording.truths, recording.balls) for each in runs]
+    truths = [assign_truths(each, balls, recording.truths, recording.balls) for each in runs]
     reports = []
     for k, ball in enumerate(balls):
-        of_ball = [run[k] for run in runs]
-        true = [truth for each in truths if (truth := each[k]) is not None]
+        runs_of_ball = [run[k] for run in runs]
+        truths_of_ball = [truth for each in truths if (truth := each[k]) is not None]
         reports.append(
             wand_report(
-                of_ball,
-                true if len(true) == len(of_ball) else None,  # more balls than were filmed
+                runs_of_ball,
+                # if the tracker has more balls than the film, one of them has no truth
+                truths_of_ball if len(truths_of_ball) == len(runs_of_ball) else None,
                 dataset=recording.name if k == 0 else f"{recording.name}, ball {k + 1}",
                 frames=recording.frames,
                 radius=ball.radius,

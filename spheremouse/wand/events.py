@@ -59,14 +59,15 @@ def missing_ball(ball: WandBall, last_seen: float) -> Event:
 
 
 def colours_turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
-    """Return the colours that no ball shows in its present attitude."""
+    """Return the colours of which no disc faces the camera. A ball without a pose may show all of its discs."""
     away = set(tracker.names)
     for ball, discs, track in zip(tracker.balls, tracker.discs, tracks, strict=True):
-        facing = np.ones(len(discs))
+        margin = np.ones(len(discs))  # cosine from the line of sight to each disc, less that of the horizon
         if track.phase == Status.TRACKING and track.pose is not None:
-            p, R, _ = track.pose
-            facing = -(discs[:, :3] @ R.T) @ p / np.linalg.norm(p) - ball.radius / np.linalg.norm(p)
-        away -= {disc.colour for disc, faces in zip(ball.discs, facing, strict=True) if faces > FULL_FACING}
+            position, R_cam_ball, _ = track.pose
+            distance = np.linalg.norm(position)
+            margin = -(discs[:, :3] @ R_cam_ball.T) @ position / distance - ball.radius / distance
+        away -= {disc.colour for disc, m in zip(ball.discs, margin, strict=True) if m > FULL_FACING}
     return away
 
 

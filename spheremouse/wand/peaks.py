@@ -105,7 +105,10 @@ class Modes:
 
 
 def fields_near(track: Track, motions: MotionMixture, context: SearchContext) -> Fields:
-    """Return the fields of the part of the picture that a tracked ball can reach, or of all of it (`region`)."""
+    """Return the fields of the part of the picture that a tracked ball can reach.
+
+    If the setting `region` is off, return those of the whole picture, which also show a problem with the colours.
+    """
     scene, s = context.scene, context.tracker.settings
     region, factor = search_region(track, motions, context.tracker, context.ball.radius)
     fields = scene.part(region if s.region else None, factor)

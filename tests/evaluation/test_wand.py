@@ -8,7 +8,7 @@ from experiments.kit.balls import contrast_ball
 from experiments.wand_films import kept_of
 from scipy.stats import chi2
 
-from spheremouse.evaluation.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
+from spheremouse.evaluation.wand import WandRun, alike, assign_truths, errors, found_from, is_lost, off, wand_report
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import WandTruth, grzonka_ball
@@ -176,7 +176,7 @@ def swapped(a, b, frame):
 
 
 def followed_by_number(runs, balls, truths, filmed):
-    found = followed(runs, balls, truths, filmed)
+    found = assign_truths(runs, balls, truths, filmed)
     return [None if t is None else next(k for k, true in enumerate(truths) if true is t) for t in found]
 
 
@@ -209,7 +209,7 @@ def test_a_run_that_goes_over_to_the_other_ball_half_way_stays_wrong(three):
     """It is lost, or, where it was on the other ball for longer, found late: with large errors either way."""
     for frame, lost, found in ((20, 0, 20), (40, 2, 0)):
         runs = [swapped(perfect(a), perfect(b), frame) for a, b in (three[:2], three[1::-1])]
-        truths = followed(runs, [BALL] * 2, three[:2], [BALL] * 2)
+        truths = assign_truths(runs, [BALL] * 2, three[:2], [BALL] * 2)
         assert [t is three[k] for t, k in zip(truths, (0, 1) if frame == 40 else (1, 0), strict=True)] == [True] * 2
         report = wand_report(runs, [t for t in truths if t is not None], dataset="x", frames=N, radius=RADIUS)
         assert (report["lost_runs"], report["found_from_frame"]) == (lost, found)

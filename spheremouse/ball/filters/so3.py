@@ -25,6 +25,7 @@ from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_settings import (
     DWELL_S,
     PERSISTENCE_S,
+    UNKNOWN_RATE_FACTOR,
     Activity,
     So3Settings,
     activity_of,
@@ -452,17 +453,17 @@ class So3Filter:
 def relocate(
     state: So3State, attitude: Array, covariance: Array, settings: So3Settings, stamp: float, rate: Array | None = None
 ) -> So3State:
-    """Return the map with a new attitude of `covariance` (3, 3) rad², at `stamp`, for an update.
+    """Return the map at a new `attitude` R_obj_ball with `covariance` (3, 3) rad², at `stamp` (s), for an update.
 
-    `rate` (3,) rad/s is the expected rate, to within a sudden change by a hand; None: unknown.
+    `rate` (3,) rad/s, obj, is the expected rate, with `start_rate_sigma` as a hand may have changed it; None: unknown.
     Attitude and map become uncorrelated, because the new attitude does not depend on the history of the map.
     """
     state = without_candidates(state)  # their places depend on the attitude before
     joint = state.joint.copy()
     joint[:KINEMATIC_DIM] = joint[:, :KINEMATIC_DIM] = 0.0
     joint[:3, :3] = covariance
-    spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
-    joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
+    rate_sigma = UNKNOWN_RATE_FACTOR * settings.start_rate_sigma if rate is None else settings.start_rate_sigma
+    joint[3:6, 3:6] = rate_sigma**2 * np.eye(3)
     joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(settings) ** 2 * np.eye(3)
     return replace(
         state,

@@ -22,8 +22,8 @@ _MAX_NODES = 5  # assignments carried on from point to point, of the most probab
 _MAX_NODES_OF_OTHERS = 2
 _MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, determine the attitude
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
-_SAME = 2e-3  # rad, largest difference of attitudes that count as equal: a tenth of a degree
-_SAME_RATE = 16.3  # squared Mahalanobis distance of rates that count as equal: chi-square with 3 degrees, 99.9 %
+_EQUAL_ATTITUDE_RAD = 2e-3  # largest angle between attitudes that count as equal: a tenth of a degree
+_EQUAL_RATE_CHI2 = 16.3  # squared Mahalanobis distance of rates that count as equal: chi-square with 3 degrees, 99.9 %
 _WIDE_GATE = 3.0  # times the gate: a prior's error may exceed its covariance, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FEW_POINTS = 4  # in view: so few discs may not determine the rotation
@@ -70,7 +70,7 @@ def update_hypotheses(
     for item in extended:
         if item[2] < extended[0][2] - _MARGIN or len(kept) == _MAX_HYPOTHESES:
             break
-        if not any(_alike(item[1].state, other[1].state) for other in kept):
+        if not any(_is_duplicate(item[1].state, other[1].state) for other in kept):
             kept.append(item)
     total = math.log(sum(math.exp(value - kept[0][2]) for _, _, value in kept)) + kept[0][2]
     hypotheses = []
@@ -131,7 +131,7 @@ def _distinct(nodes: list[_Node], most: int) -> list[_Node]:
     for node in sorted(nodes, key=lambda node: -node.log_likelihood):
         if len(kept) == most or (kept and node.log_likelihood < kept[0].log_likelihood - 2.0 * _MARGIN):
             break
-        if not any(_alike(node.state, other.state) for other in kept):
+        if not any(_is_duplicate(node.state, other.state) for other in kept):
             kept.append(node)
     return kept
 
@@ -168,12 +168,12 @@ def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -
     return float(np.sum(np.log(missed)))
 
 
-def _alike(state: So3State, likelier: So3State) -> bool:
-    """Return whether a likelier state stands for another one: the same attitude, and a rate that may be as different.
+def _is_duplicate(state: So3State, likelier: So3State) -> bool:
+    """Return whether a state has the attitude of a likelier one, and a rate within its covariance.
 
-    A ball that passes through an attitude is not the ball that rests there.
+    The rate counts, since a ball that passes through an attitude is not the ball that rests there.
     """
-    if np.trace(state.attitude.T @ likelier.attitude) <= 1.0 + 2.0 * math.cos(_SAME):
+    if np.trace(state.attitude.T @ likelier.attitude) <= 1.0 + 2.0 * math.cos(_EQUAL_ATTITUDE_RAD):
         return False
-    off = state.rate - likelier.rate
-    return float(off @ np.linalg.solve(likelier.joint[3:6, 3:6], off)) < _SAME_RATE
+    difference = state.rate - likelier.rate
+    return float(difference @ np.linalg.solve(likelier.joint[3:6, 3:6], difference)) < _EQUAL_RATE_CHI2

@@ -15,6 +15,7 @@ DRIFT = 0.1  # share of a level by which the acceleration drifts between two ste
 DWELL_S = 1.0  # mean time at a level of acceleration: a gesture takes about a second
 HIDDEN_SHARE = kernels.HIDDEN_SHARE  # of the discs that face the camera: struts and hands before them
 FALSE_SHARE = 0.25  # of the points that found a disc: half a false point in view beside the one or two of a few discs
+UNKNOWN_RATE_FACTOR = 2.5  # on `start_rate_sigma`, for a ball that may be in motion: 5 rad/s per axis
 ESTABLISHED_HITS = kernels.ESTABLISHED_HITS  # frames in which a disc is seen until it is established
 
 

@@ -50,7 +50,7 @@ def follow(
     if all_are_discs(state):
         return state
     if not state.confirmed:
-        found = recognised_attitude(state._replace(filter=predicted), stamp, tracker)  # without its new landmarks
+        found = recognise_attitude(state._replace(filter=predicted), stamp, tracker)  # without its new landmarks
         if found is not None:
             return state._replace(filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
     if state.alternatives:  # the attitude by which candidates would be judged is in doubt
@@ -194,17 +194,18 @@ def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> Tr
     return state._replace(filter=filtered, alternatives=(), confirmed=False)
 
 
-def recognised_attitude(
+def recognise_attitude(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], risk: float = RISK
 ) -> tuple[So3State, int] | None:
-    """Return the filter with the attitude from the map alone, and the number of discs; None if it is not certain.
+    """Return the filter updated at the attitude that the map alone gives, and the number of discs that give it.
 
-    `identify` weighs all points, also those without a disc, so no further rule on their number is needed.
+    Return None if the probability of an error exceeds `risk`. `identify` weighs all points, also those without a disc,
+    so no further rule on their number is needed. `stamp` is in s.
     After a short gap the rate follows from the last confirmed attitude. After a long gap it is unknown.
     """
     points = state.points
     map_sigma = state.filter.map_sigma()
-    placed = map_sigma < IDENTIFY_SIGMA  # a disc founded at a doubtful attitude tells no attitude
+    placed = map_sigma < IDENTIFY_SIGMA  # the place of another disc is too uncertain to give the attitude
     if len(points) < 3 or np.count_nonzero(placed) < 3:
         return None
     noise = np.trace(points.image_covariance, axis1=1, axis2=2) / (2.0 * tracker.rig.ball.radius**2)

@@ -23,6 +23,8 @@ from spheremouse.geometry.rotation import Array, align, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
 _FRAME = 1.0 / 30.0  # s, frame interval within which a turn about the line of sight is detected
+_MAX_PREDICTION_ERROR_PX = 6.0  # from the predicted to the seen place of a point
+_MAX_EXTRAPOLATION_S = 0.1  # interval between views over which a step predicts the next one
 _MODEL_ERROR = 0.1  # px, error of a disc's predicted centre from errors of pose and ball
 _REPLAY = 30  # frames kept until the ball moves, for filtering again without the look-alikes
 _PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
@@ -225,7 +227,9 @@ def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
 def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: int) -> tuple[NDArray[np.intp], int]:
     """Assign track numbers to the points of a frame, at `centre` (n, 2) px.
 
-    A point keeps the number of a nearby point in the view before. The search extrapolates each point's last step.
+    A point takes the number of the point whose predicted place is nearest, within `_MAX_PREDICTION_ERROR_PX`. The
+    prediction repeats a point's last step. If the last views are more than `_MAX_EXTRAPOLATION_S` apart, it is the last
+    place.
     Returns the numbers, (n,), and the next free number.
     """
     track = np.full(len(centre), -1, dtype=np.intp)
@@ -235,9 +239,9 @@ def follow_points(views: tuple[BufferedFrame, ...], centre: Array, next_track: i
         if len(views) > 1:
             _, before, now = np.intersect1d(views[-2].track, last.track, return_indices=True)
             step = last.centre[now] - views[-2].centre[before]
-            expected[now] += step * (views[-1].stamp - views[-2].stamp < 0.1)
+            expected[now] += step * (views[-1].stamp - views[-2].stamp < _MAX_EXTRAPOLATION_S)
         distance = distances(centre, expected)
-        nearest = mutual_nearest(np.where(distance < 6.0, distance, np.inf))
+        nearest = mutual_nearest(np.where(distance < _MAX_PREDICTION_ERROR_PX, distance, np.inf))
         same = nearest >= 0
         track[same] = last.track[nearest[same]]
     new = np.flatnonzero(track < 0)

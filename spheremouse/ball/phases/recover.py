@@ -7,7 +7,7 @@ from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.bearing import back_on_bearings
-from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, RISK, recognised_attitude, updated_hypotheses
+from spheremouse.ball.phases.follow import IDENTIFY_SIGMA, RISK, recognise_attitude, updated_hypotheses
 from spheremouse.ball.phases.learn import found, learn
 from spheremouse.ball.phases.seen_centre import RESTS
 from spheremouse.ball.state import (
@@ -72,7 +72,7 @@ def recover(
     phase = seen_since(phase, state.most_in_view(stamp), stamp)
     state = state._replace(phase=phase, filter=clear_matches(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
-    recognised = resting or recognised_attitude(state, stamp, tracker)
+    recognised = resting or recognise_attitude(state, stamp, tracker)
     if recognised is None and state.older is not None:
         state, recognised = _on_older_map(state, stamp, tracker)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
@@ -181,7 +181,7 @@ def recognise(
     `loss.reset_after` s with enough discs in view, the map may belong to another ball, and a new map begins. The saved
     map stays as the older one, since other discs may come into view.
     """
-    recognised = recognised_attitude(state, stamp, tracker)
+    recognised = recognise_attitude(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
         state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
@@ -221,13 +221,13 @@ def recognise_older_map(
 def _on_older_map(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], tuple[So3State, int] | None]:
-    """Return the state, and the result of `recognised_attitude` for the older map, which then is older no more.
+    """Return the state, and the result of `recognise_attitude` for the older map, which then is older no more.
 
     A saved map may be of another ball. It is searched for long, so all its searches share the risk of one.
     """
     searches = state.older_searches
     risk = RISK / (searches * (searches + 1)) if searches else RISK  # these sum to RISK
-    recognised = recognised_attitude(state._replace(filter=state.older), stamp, tracker, risk)
+    recognised = recognise_attitude(state._replace(filter=state.older), stamp, tracker, risk)
     if recognised is None:
         return state._replace(older_searches=searches + (searches > 0)), None
     return state._replace(older=None, older_searches=0, absolute=state.absolute or searches > 0), recognised

@@ -83,7 +83,7 @@ _DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
 _MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
 _EVERY = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
 _LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
-_RECENT = 0.1  # weight of a frame in usual figures: those of a third of a second
+_FRAME_WEIGHT = 0.1  # of one frame in the running means, which cover a third of a second at 30 Hz
 _FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
 _PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
 _LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
@@ -120,9 +120,9 @@ def detect_texture(
         alignment = None
     if alignment is not None:
         now = _learnt(detector, now, shown, alignment.attitude)
-        now = now._replace(unseen=now.unseen + _RECENT * (float(not shows_all_axes(alignment)) - now.unseen))
+        now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
-            now = _with_usual(now, alignment)
+            now = _with_running_means(now, alignment)
             if now.turned and now.frame_index % _EVERY == _EVERY - 1:
                 now = compared_with_itself(detector, now, alignment)
     elif _details(now) < _PLAIN * now.details:
@@ -135,14 +135,14 @@ def detect_texture(
     return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven)
 
 
-def _with_usual(now: TextureState, alignment: Alignment) -> TextureState:
-    """Return the state with the usual figures after a frame that fits near its prediction."""
+def _with_running_means(now: TextureState, alignment: Alignment) -> TextureState:
+    """Return the state with its running means of fit after a frame that fits near its prediction."""
     scale = alignment.scale if now.usual_scale == np.inf else now.usual_scale
     return now._replace(
-        usual=now.usual + _RECENT * (alignment.correlation - now.usual),
-        usual_scale=scale + _RECENT * (alignment.scale - scale),
-        usual_significance=now.usual_significance + _RECENT * (significance(alignment) - now.usual_significance),
-        details=now.details + _RECENT * (_details(now) - now.details),
+        usual=now.usual + _FRAME_WEIGHT * (alignment.correlation - now.usual),
+        usual_scale=scale + _FRAME_WEIGHT * (alignment.scale - scale),
+        usual_significance=now.usual_significance + _FRAME_WEIGHT * (significance(alignment) - now.usual_significance),
+        details=now.details + _FRAME_WEIGHT * (_details(now) - now.details),
     )
 
 
@@ -323,21 +323,14 @@ def _detections(
 def _next_phase(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
-    """Return the state after the anchors of a frame, and the events."""
+    """Return the state and the events after a frame whose anchors are `state.points`.
+
+    `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
+    """
     now: TextureState = state.search
     before = state.phase
     if now.alignment is None:
-        if isinstance(before, Recognising):
-            return _not_recognised(state, before, stamp, tracker)
-        if isinstance(before, Lost) and stamp - max(state.confirmed_at, now.last_plain_stamp) > _OTHER_BALL_S:
-            new_filter = tracker.filter.initial(stamp, state.filter.attitude)
-            state = state._replace(phase=Learning(), filter=new_filter, search=SearchState(), confirmed_at=stamp)
-            return state, (NewMap(),)
-        if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen
-            new_filter = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
-            return state._replace(filter=new_filter, confirmed_at=stamp), ()
-        coasted = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
-        return state._replace(filter=clear_matches(coasted)), ()
+        return _without_alignment(state, stamp, tracker, predicted)
     match before:
         case Lost() | Recognising():
             placed = _relocated(predicted, now.alignment, stamp, tracker)
@@ -356,6 +349,24 @@ def _next_phase(
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
     return _with_faults_reported(_followed(state, stamp, tracker, predicted))
+
+
+def _without_alignment(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state and the events after a frame that fits at no attitude."""
+    phase = state.phase
+    if isinstance(phase, Recognising):
+        return _not_recognised(state, phase, stamp, tracker)
+    if isinstance(phase, Lost) and stamp - max(state.confirmed_at, state.search.last_plain_stamp) > _OTHER_BALL_S:
+        new_filter = tracker.filter.initial(stamp, state.filter.attitude)
+        state = state._replace(phase=Learning(), filter=new_filter, search=SearchState(), confirmed_at=stamp)
+        return state, (NewMap(),)
+    if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen
+        new_filter = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
+        return state._replace(filter=new_filter, confirmed_at=stamp), ()
+    unobserved = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=np.bool_))
+    return state._replace(filter=clear_matches(unobserved)), ()
 
 
 def _with_faults_reported(state: TrackState[So3State]) -> tuple[TrackState[So3State], Events]:

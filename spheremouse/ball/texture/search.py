@@ -132,9 +132,9 @@ class TextureState(NamedTuple):
     frame_index: int = 0  # since the first frame
     alignment: Alignment | None = None  # of the last frame; None: it fits nowhere
     searched: bool = False  # it was not near the prediction
-    usual: float = 0.0  # correlation of the frames that fitted near their predictions
+    usual: float = 0.0  # running mean of the correlation of frames that fitted near their predictions
     usual_scale: float = np.inf  # of the residuals of these frames, in standard deviations; inf: none since the start
-    usual_significance: float = 0.0  # of their correlation
+    usual_significance: float = 0.0  # of their correlation, in standard deviations
     details: float = 0.0  # coarse samples of these frames that showed a detail
     compared: int = 0  # parts of all attitudes at which the ball was compared with itself
     repeats: bool = False  # it looks the same at another attitude

@@ -114,17 +114,17 @@ class BoardAdjustment:
 def resect_views(
     views: Sequence[View], camera: InteriorOrientation, shape: Array | None = None, plate: Plate | None = None
 ) -> tuple[Array, Array, tuple[Array, ...]]:
-    """Return the poses R_cam_board, (v, 3, 3), and translation, (v, 3) m, of views of a known camera, and residuals.
+    """Return R_cam_board, (v, 3, 3), and t_cam_board, (v, 3) m, of a known camera, and residuals, (n, 2) px a view.
 
-    `shape` (4,) is that of the board on its `plate`; None: as printed.
+    `shape` (4,) is that of the board on its `plate`; None: as printed. A view that does not converge keeps its start.
     """
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(SHARED, bool), plate)
     shape = np.zeros(SHAPE) if shape is None else shape
     x = np.concatenate([interior_vector(camera), shape, poses_of(views, camera).ravel()])
-    for v, view in enumerate(views):  # one by one, as that is fast
+    for v, view in enumerate(views):  # one by one: they share no unknown
         own = np.arange(len(views)) == v
         columns = unknowns_of(own)
-        with contextlib.suppress(CalibrationError):  # then it keeps its start, and large residuals
+        with contextlib.suppress(CalibrationError):  # large residuals show it
             x[columns] = Bundle([view], bundle.size, bundle.free, bundle.plate).solve(x[columns], np.ones(1))
     r, t = split_poses(x)
     return exp(r), t, bundle.residuals(x)

@@ -115,7 +115,7 @@ class JsonScreen(Screen):
             return
         self._due = now + _CHECK_INTERVAL_S
         if self._picture is not None:
-            _write(self._picture, _marked(picture, selector.points(check.seen)[1], bool(check.gain)))
+            _write(self._picture, _draw_points(picture, selector.points(check.seen)[1], bool(check.gain)))
         state = {"photos": selector.count, "check": check.words, "gain": check.gain}
         print(json.dumps({**state, "status": selector.status(), "wanted": selector.wanted()}), flush=True)
 
@@ -165,7 +165,7 @@ def _write(path: Path, picture: Image) -> None:
         replace(path, cv2.imencode(path.suffix, picture)[1].tobytes(), 0o600)  # it may show people
 
 
-def _marked(picture: Image, points: Array, taken: bool) -> Image:
+def _draw_points(picture: Image, points: Array, taken: bool) -> Image:
     """Return a small copy with a circle at each point, (n, 2) px; filled if the frame became a photo."""
     factor = min(1.0, _MAX_PICTURE_WIDTH / picture.shape[1])
     small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)

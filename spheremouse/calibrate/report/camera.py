@@ -194,6 +194,7 @@ def _summary(done: CameraCalibration) -> str:
 
 
 def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
+    """Return the name, value and uncertainty of each main result."""
     found, camera, sigma = done.found, done.found.camera, done.found.deviations
     return [
         ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),

@@ -49,14 +49,14 @@ class WorkerPool:
     def __init__(self, kinds: Iterable[str], log: Callable[[str], None]) -> None:
         """`log` logs internal errors, from any thread."""
         self._log = log
-        self._given: dict[str, queue.SimpleQueue[Work | None]] = {kind: queue.SimpleQueue() for kind in kinds}
-        self._left = dict.fromkeys(self._given, 0)  # given and not done
+        self._queues: dict[str, queue.SimpleQueue[Work | None]] = {kind: queue.SimpleQueue() for kind in kinds}
+        self._unfinished = dict.fromkeys(self._queues, 0)  # number of works, queued or running
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
 
     def begin(self) -> None:
         """Start all threads. Raise ControlError if the system refuses one."""
-        for kind in self._given:
+        for kind in self._queues:
             thread = threading.Thread(target=self._run, args=(kind,), name=kind, daemon=True)
             begin(thread)
             self._threads.append(thread)
@@ -68,17 +68,17 @@ class WorkerPool:
         its answer there may request again at once.
         """
         with self._lock:
-            self._left[kind] += 1
-        self._given[kind].put(work)
+            self._unfinished[kind] += 1
+        self._queues[kind].put(work)
 
     def busy(self, kind: str) -> bool:
         """Return True while work of that kind is not done."""
-        return self._left[kind] > 0
+        return self._unfinished[kind] > 0
 
     def end(self, *kinds: str) -> None:
         """End the threads after their work. Wait for work of these kinds, at most 30 s in all."""
-        for given in self._given.values():
-            given.put(None)
+        for works in self._queues.values():
+            works.put(None)
         end = time.monotonic() + _MAX_FINISH_S
         for thread in self._threads:
             if thread.name in kinds:
@@ -86,16 +86,16 @@ class WorkerPool:
 
     def _run(self, kind: str) -> None:
         """Do the works of one kind in their order, each with its follow-up."""
-        while (work := self._given[kind].get()) is not None:
-            follow_up = self._tried(work)
-            del work  # with the pictures that it holds
+        while (work := self._queues[kind].get()) is not None:
+            follow_up = self._run_and_log_error(work)
+            del work  # else its pictures stay in memory until the next one comes
             with self._lock:
-                self._left[kind] -= 1
+                self._unfinished[kind] -= 1
             if follow_up is not None:
-                self._tried(follow_up)
+                self._run_and_log_error(follow_up)
                 del follow_up
 
-    def _tried(self, work: Work) -> Callable[[], None] | None:
+    def _run_and_log_error(self, work: Work) -> Callable[[], None] | None:
         """Do the work and return its follow-up. Log an exception as an internal error."""
         try:
             return work()

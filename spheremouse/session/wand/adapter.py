@@ -138,11 +138,11 @@ class WandAdapter(TrackerAdapter):
         tracker = self._make(plan) if "tracker" in changed else self.tracker
 
         def apply() -> TrackerAdapter:
-            before = self.pointing_index
+            old_index = self.pointing_index
             self._set_tracker(plan, tracker)
-            if "motion" in changed or self.pointing_index != before:
+            if "motion" in changed or self.pointing_index != old_index:
                 self.mapping = WandMapping(plan.configuration.wand.pointing)
-            if self.pointing_index != before:
+            if self.pointing_index != old_index:
                 self._messages = WandMessages(self.pointing_index, tracker.balls[self.pointing_index].name)
                 self.status = self._poses[self.pointing_index].phase if self._poses else Status.SEARCHING
             return self
@@ -180,9 +180,8 @@ class WandAdapter(TrackerAdapter):
         if tracked is None:
             return plain(None, self.status)
         balls = zip(self.tracker.balls, tracked.epoch.poses, strict=True)
-        return plain(
-            tracked.samples[0].sequence, self.status, **of_balls(balls, self.pointing_index, self.tracker.camera)
-        )
+        marks = of_balls(balls, self.pointing_index, self.tracker.camera)
+        return plain(tracked.samples[0].sequence, self.status, **marks)
 
     def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         keep = None if everything else partial(_around_balls, tracked.epoch.poses, self.tracker)

@@ -170,15 +170,19 @@ class PlacedHand(NamedTuple):
 
 
 def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: float) -> PlacedHand | None:
-    """Return a hand of `draw_hand` in the image at time `t` (s), or None while it is away or out of sight."""
+    """Return a hand of `draw_hand` in the image at time `t` (s), or None while it is away or out of sight.
+
+    The palm sways about 13 cm beside the ball's centre, goes up and down by 11 cm, and tilts. It comes up from 1.2 m
+    below and goes back there, each in 0.5 s.
+    """
     if not visit.start < t < visit.end:
         return None
     side = 1.0 if visit.right else -1.0
     since = t - visit.start
     arrival, departure = smoothstep(np.array([since, visit.end - t]) / 0.5)
-    x = side * (0.13 + 0.03 * np.sin(2.1 * since))
+    x = side * (0.13 + 0.03 * np.sin(2.1 * since))  # m, obj, as y
     y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * (1.0 - arrival * departure)
-    tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
+    tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))  # rad
     axes = _HAND_SCALE * visit.size * np.array([[np.cos(tilt), np.sin(tilt), 0.0], [-np.sin(tilt), np.cos(tilt), 0.0]])
     axes[0] *= side
     palm = scene.pose.to_cam(np.array([x, y, _PLANE_Z]))

@@ -126,8 +126,8 @@ def _ground(camera: InteriorOrientation, outdoors: bool, rng: np.random.Generato
         at = rays[:, [0, 2]] * depth[:, None]
     floor = (rays[:, 1] > 0.0) & (at[:, 1] < _WALL) & np.isfinite(at).all(axis=1)
     at = np.where(floor[:, None], at, 0.0)
-    on_floor = _textured(0.35 if outdoors else 0.10, at, shape, rng)
-    on_wall = _textured(0.05, (rays * (_WALL / rays[:, 2])[:, None])[:, :2] * 0.7, shape, rng)
+    on_floor = _texture_at(0.35 if outdoors else 0.10, at, shape, rng)
+    on_wall = _texture_at(0.05, (rays * (_WALL / rays[:, 2])[:, None])[:, :2] * 0.7, shape, rng)
     base = reflectance((72.0, 118.0, 104.0)) if outdoors else _near((186.0, 200.0, 210.0), 12.0, rng)
     wall = reflectance((236.0, 214.0, 190.0)) if outdoors else _near((160.0, 170.0, 176.0), 14.0, rng)
     shade = on_floor * np.clip(1.15 - 0.06 * at[:, 1], 0.6, 1.2)
@@ -135,8 +135,11 @@ def _ground(camera: InteriorOrientation, outdoors: bool, rng: np.random.Generato
     return picture.reshape(*shape, 3).astype(np.float32)
 
 
-def _textured(depth: float, metres: Array, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
-    """A texture that repeats, about 1, with a standard deviation of `depth`, at places (h*w, 2) m of a picture."""
+def _texture_at(depth: float, metres: Array, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return factors on the colour, (h*w,), at places (h*w, 2) m that pixels of a picture (h, w) show.
+
+    They have mean 1 and standard deviation `depth`, and details of three sizes. The texture repeats.
+    """
     fine = np.zeros((_TILE, _TILE))
     for blur in (1.5, 6.0, 40.0):
         noise = gaussian_filter(rng.standard_normal((_TILE, _TILE)), blur, mode="wrap")
