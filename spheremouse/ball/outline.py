@@ -15,19 +15,20 @@ from spheremouse.geometry.camera import Pose, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 
 _POINTS = 240  # of the outline
-_REACH = 0.05  # relative, largest error of the radius: five standard deviations of a tape
+_MAX_ERROR = 0.05  # relative, largest error of the radius: five standard deviations of a tape
 _STEP_PX = 0.25  # between samples
 _SLOPE = 8  # samples on each side of an edge
-_BESIDE = 4  # samples that mix with a pixel beside them
-_MARGIN = 13  # px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
-_CLEAR = 8.4  # times the median slope, from which one is an edge: five standard deviations of noise above it
+_MIXED = 4  # samples that mix with a pixel beside them
+# px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
+_MASK_MARGIN_PX = 13
+_MIN_SLOPE_RATIO = 8.4  # times the median slope, from which one is an edge: five standard deviations of noise above it
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
-_EDGE_PX = 0.3  # standard deviation of an outline from blur and shading
-_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline
-_LEAST_INFORMATION = 1e-9  # edges: along a direction that no edge shows, the shift is 0
-_SHARED = 4.0  # neighbours that share the error of an edge
-_SIDE_PX = 0.1  # standard deviation of one side of an outline against the other, from shading
-_LEAST_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a twentieth agrees by chance
+_EDGE_SIGMA_PX = 0.3  # standard deviation of an outline from blur and shading
+_WEIGHT_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline
+_MIN_INFORMATION = 1e-9  # edges: along a direction that no edge shows, the shift is 0
+_SHARING_NEIGHBOURS = 4.0  # neighbours that share the error of an edge
+_SIDE_SIGMA_PX = 0.1  # standard deviation of one side of an outline against the other, from shading
+_MIN_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a twentieth agrees by chance
 
 
 class SeenCentre(NamedTuple):
@@ -74,11 +75,11 @@ def support_mask(rig: Rig, pose: Pose) -> Image:
     """Return a mask, (h, w), 255 for the pixels beside the outline that this module reads, and for the ball."""
     mask = np.zeros((rig.camera.height, rig.camera.width), np.uint8)
     try:
-        uv = sphere_outline(pose.to_cam(rig.ball.centre), (1.0 + _REACH) * rig.ball.radius, rig.camera, _POINTS)
+        uv = sphere_outline(pose.to_cam(rig.ball.centre), (1.0 + _MAX_ERROR) * rig.ball.radius, rig.camera, _POINTS)
     except np.linalg.LinAlgError:  # not wholly in front of the camera
         return mask
     cv2.fillPoly(mask, [np.rint(np.clip(uv, -1e4, 1e4)).astype(np.int32)], 255)
-    return np.asarray(cv2.dilate(mask, np.ones((_MARGIN, _MARGIN), np.uint8)), np.uint8)
+    return np.asarray(cv2.dilate(mask, np.ones((_MASK_MARGIN_PX, _MASK_MARGIN_PX), np.uint8)), np.uint8)
 
 
 def support(image: Image, rig: Rig, pose: Pose) -> float:
@@ -87,7 +88,7 @@ def support(image: Image, rig: Rig, pose: Pose) -> float:
     if found.normals == 0:
         return 0.0
     near = float(np.count_nonzero(np.abs(found.error) * found.px < _NEAR_PX)) / found.normals
-    chance = min(_NEAR_PX / (_REACH * found.px), 0.5)
+    chance = min(_NEAR_PX / (_MAX_ERROR * found.px), 0.5)
     return max(0.0, (near - chance) / (1.0 - chance))
 
 
@@ -101,7 +102,7 @@ def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
     found = _edges(image, rig, pose, home)
     if not _suffices(found, _POINTS):
         return None
-    error, sigma = np.sort(found.error), _EDGE_PX / found.px
+    error, sigma = np.sort(found.error), _EDGE_SIGMA_PX / found.px
     agree = np.searchsorted(error, error + 4.0 * sigma, "right") - np.arange(len(error))
     first = int(agree.argmax())
     towards = pose.position - home  # a larger ball looks like one that is nearer by the same share
@@ -110,7 +111,7 @@ def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
     fit = max(at_mode, as_rig, key=lambda fit: fit.weight.sum())
     size = float(towards @ fit.shift) / float(towards @ towards)
     agree, rivals = (int(np.count_nonzero(np.abs(off) < 2.0 * sigma * radius)) for off in (fit.off, radius * error))
-    if agree < _LEAST_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
+    if agree < _MIN_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
         return SeenBall(0.0, np.inf, _centre(as_rig, found, rig, pose, home))
     return SeenBall(size, sigma, _centre(fit, found, rig, pose, home))
 
@@ -121,7 +122,7 @@ def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array) -> SeenCent
     Along the line of sight a shift looks like shade and blur, so that part is left out. Returns None if too little of
     the outline is seen.
     """
-    found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _REACH)
+    found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _MAX_ERROR)
     if not _suffices(found, _POINTS // 2):
         return None
     return _centre(_fit(found, rig.ball.radius, np.zeros(3)), found, rig, pose, expected)
@@ -132,14 +133,14 @@ def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> 
     towards = pose.position - expected
     axes = tangent_basis(towards / np.linalg.norm(towards))
     variance = float(fit.weight @ fit.off**2) / max(float(fit.weight.sum()) - 3.0, 1.0)
-    scatter = _SHARED * variance * axes.T @ np.linalg.inv(fit.N) @ axes
-    common = (_SIDE_PX / found.px * rig.ball.radius) ** 2
+    scatter = _SHARING_NEIGHBOURS * variance * axes.T @ np.linalg.inv(fit.N) @ axes
+    common = (_SIDE_SIGMA_PX / found.px * rig.ball.radius) ** 2
     return SeenCentre(axes.T @ (expected + fit.shift - rig.ball.centre), axes, scatter, common)
 
 
 def _suffices(found: _Edges, points: int) -> bool:
     """Return whether enough of an outline of so many points is in the picture, with an edge."""
-    return len(found.error) >= _LEAST_SUPPORT * found.normals and found.normals >= _LEAST_SUPPORT * points
+    return len(found.error) >= _MIN_SUPPORT * found.normals and found.normals >= _MIN_SUPPORT * points
 
 
 def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
@@ -149,14 +150,14 @@ def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
     """
     n, error, shift = found.normal, radius * found.error, start
     weight, N = np.ones(len(n)), np.eye(3)
-    for scale in _SCALES:
+    for scale in _WEIGHT_SCALES:
         weight = 1.0 / (1.0 + ((error - n @ shift) / (scale * radius)) ** 2) ** 2
-        N = n.T @ (weight[:, None] * n) + _LEAST_INFORMATION * np.eye(3)
+        N = n.T @ (weight[:, None] * n) + _MIN_INFORMATION * np.eye(3)
         shift = np.asarray(np.linalg.solve(N, n.T @ (weight * error)), float)
     return _Fit(shift, weight, N, error - n @ shift)
 
 
-def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS, reach: float = _REACH) -> _Edges:
+def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS, reach: float = _MAX_ERROR) -> _Edges:
     """Return the edges near the outline of a ball with its centre `at`, (3,) m in obj."""
     centre, radius = pose.to_cam(at), rig.ball.radius
     try:
@@ -174,14 +175,14 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     x, y = (np.ascontiguousarray(line[:, :, i], dtype=np.float32) for i in (0, 1))
     samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     colours = np.array(cv2.split(samples))  # (c, n, m)
-    black = cv2.dilate((colours.max(axis=0) == 0).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _BESIDE + 1)))
+    black = cv2.dilate((colours.max(axis=0) == 0).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _MIXED + 1)))
     sums = np.pad(np.cumsum(colours, axis=2, dtype=np.int32), ((0, 0), (0, 0), (1, 0)))
     steps = sums[:, :, 2 * _SLOPE :] - 2 * sums[:, :, _SLOPE:-_SLOPE] + sums[:, :, : -2 * _SLOPE]
     slope = np.abs(steps).max(axis=0) / _SLOPE  # of the colour that has the largest
     unknown = black[:, _SLOPE : _SLOPE + slope.shape[1]] > 0  # a recording has no pixels there
     usual = slope[~unknown] if not unknown.all() else np.zeros(1)
     slope[unknown] = 0.0
-    clear = slope.max(axis=1) > _CLEAR * max(float(np.median(usual)), 1e-6)
+    clear = slope.max(axis=1) > _MIN_SLOPE_RATIO * max(float(np.median(usual)), 1e-6)
     ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
     ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
     error = error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear]

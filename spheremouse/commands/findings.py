@@ -15,7 +15,7 @@ from spheremouse.errors import printable
 from spheremouse.finding import Finding, Verdict
 
 FORMAT = 1  # of the data
-_LOOKS = {
+_STYLES = {
     Verdict.OK: ("✓", "+", "green"),
     Verdict.WARNING: ("▲", "!", "bold yellow"),
     Verdict.WRONG: ("✗", "X", "bold red"),
@@ -79,7 +79,7 @@ def data(sections: Sequence[Section]) -> dict[str, Any]:
 
 
 def _mark(finding: Finding, console: Console) -> Text:
-    sign, plain, style = _LOOKS[finding.verdict]
+    sign, plain, style = _STYLES[finding.verdict]
     return Text(f"{sign if _draws(console) else plain} {finding.verdict}", style=style)
 
 

@@ -18,7 +18,7 @@ from spheremouse.output.spnav_server import SpnavServer
 
 RESPONSE = STICK_RESPONSE
 FULL_DEFLECTION = 350  # units, of 3Dconnexion's mice
-_REST = [0.0, 0.0, 0.0]
+_NO_DEFLECTION = [0.0, 0.0, 0.0]
 
 
 def to_rotation(report: Report, response: Response) -> list[float] | None:
@@ -40,7 +40,7 @@ class SpaceNav(Output):
     def __init__(self, path: Path, response: Response) -> None:
         self._response, self._server = response, SpnavServer(path)
         self._lock, self._moving = threading.Lock(), False
-        self._watchdog = Watchdog(lambda: self._turn(_REST))
+        self._watchdog = Watchdog(lambda: self._turn(_NO_DEFLECTION))
 
     def send(self, report: Report) -> None:
         """Send the rotation to each client. Without a confirmed frame the last one stays, for 0.3 s at most."""
@@ -53,7 +53,7 @@ class SpaceNav(Output):
     def close(self) -> None:
         """End the motion and the connections, and remove the socket."""
         self._watchdog.close()
-        self._turn(_REST)
+        self._turn(_NO_DEFLECTION)
         self._server.close()
 
     def _turn(self, rotation: list[float]) -> None:

@@ -24,20 +24,22 @@ from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, corrected, with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, OutlineCheck, Tracker, TrackState, lost
 
-_DOUBT = 5e-3  # rad, of a disc that was found while the centre moved unseen
-_STEADY = 1e-3  # radii/sqrt(s), least noise of a centre that has moved
+_MAX_DRIFT = 5e-3  # rad, of the place of a disc that was found while the centre moved unseen
+_MIN_CENTRE_NOISE = 1e-3  # radii/sqrt(s), least noise of a centre that has moved
 _NOISE_TIME_S = 0.4  # time constant of the estimate of that noise
-_OFF = 4.0  # mean squared deviations of a centre that is off; at most 3 are expected of one in its place
-_OFF_TIME_S = 0.3  # time constant of that mean; hands and struts spoil a disc for less
-_NO_EVIDENCE = 0.1  # of that mean
-_MOST = 40.0  # squared deviations that a frame counts for in that mean
-_CERTAIN = 9.0  # nats: odds of 8000 to 1
-_MOST_NATS = 3.0  # that a frame counts for: a false pair is no proof
-_PROVEN = 0.5  # rad: a quarter of the visible side has changed, so a wrong place would have shown
-_PAIRS = 5  # discs that show a centre: with three any shift fits, with four nearly
-_FITS = 0.002  # radii, standard deviation of the shift that a frame of that proof has
+# mean squared Mahalanobis distance above which the centre is off its place; in it, at most 3 are expected
+_MAX_MEAN_NIS = 4.0
+_EVIDENCE_TIME_S = 0.3  # time constant of that mean; hands and struts spoil a disc for less
+_NEGLIGIBLE_NIS = 0.1  # of that mean
+_MAX_FRAME_NIS = 40.0  # largest squared Mahalanobis distance that one frame adds to that mean
+_MIN_LOG_ODDS = 9.0  # nats, odds of 8000 to 1 for a wrong length in the rig
+_MAX_FRAME_LOG_ODDS = 3.0  # nats, largest contribution of one frame: a false pair is no proof
+# rad, turn after which a wrong place of the centre would have shown: a quarter of the visible side is new
+_PROOF_ROTATION = 0.5
+_MIN_PAIRS = 5  # of discs, for an estimate of the centre: with three any shift fits, with four nearly
+_PROOF_SIGMA = 0.002  # radii, standard deviation of the shift with which a frame counts in full for that proof
 _HOME_TIME_S = 3.0  # time constant of the usual place
-_FRAME = 0.1  # s, the longest that one frame counts for
+_MAX_INTERVAL_S = 0.1  # the longest time that one frame counts for
 
 
 def check_learning(
@@ -51,7 +53,7 @@ def check_learning(
     if not views or views[-1].camera != state.camera:
         return state, ()
     (check, _), outline = _checked(state, _interval(before, stamp), tracker), state.outline
-    if check.evidence <= _OFF and not outline.has_moved:
+    if check.evidence <= _MAX_MEAN_NIS and not outline.has_moved:
         return state._replace(centre=check), ()
     if not outline.is_in_place:
         state = state._replace(filter=tracker.filter.let_centre_move(state.filter))
@@ -75,7 +77,7 @@ def check_bearings(
     If the frame shows a shift, filter it again with an uncertain rig, a centre that moves, or both. If the centre is
     then too far from its usual place, report the ball lost.
     """
-    no_doubt = state.centre.evidence < _NO_EVIDENCE and not _is_doubtful(state)
+    no_doubt = state.centre.evidence < _NEGLIGIBLE_NIS and not _is_doubtful(state)
     if no_doubt and predicted.centre_noise == 0.0 and not state.outline.has_moved:
         return state, ()
     radius, events = tracker.rig.ball.radius, ()
@@ -83,20 +85,20 @@ def check_bearings(
     check, shift = _checked(state, dt, tracker)
     check = _compared(check, state, dt, tracker, predicted)
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
-    if check.evidence > _OFF or _has_wrong_rig(check) or refuted or state.outline.has_moved:
+    if check.evidence > _MAX_MEAN_NIS or _has_wrong_rig(check) or refuted or state.outline.has_moved:
         events = () if check.moved else (OutOfRound(),)
         state, predicted = _filtered_with_shift(before, state._replace(centre=check), stamp, tracker, predicted)
         check = state.centre
     elif predicted.centre_noise > 0.0 and state.confirmed:
-        noise = max(_learnt_noise(before.filter, state.filter, dt), (_STEADY * radius) ** 2)
+        noise = max(_learnt_noise(before.filter, state.filter, dt), (_MIN_CENTRE_NOISE * radius) ** 2)
         state = state._replace(filter=replace(state.filter, centre_noise=noise))
     path = state.filter.centre - check.home
-    if check.turned >= _PROVEN and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
+    if check.turned >= _PROOF_ROTATION and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         blind = replace(blind, rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
         state = lost(state._replace(filter=blind, centre=check), lifted_at=stamp)
         return state, (*events, BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0))
-    if check.turned < _PROVEN:
+    if check.turned < _PROOF_ROTATION:
         check = check._replace(home=state.filter.centre, turned=check.turned + _proof(state, shift, dt, tracker))
     else:
         check = check._replace(home=check.home + (1.0 - math.exp(-dt / _HOME_TIME_S)) * path)
@@ -116,13 +118,13 @@ def _filtered_with_shift(
     with that.
     """
     check, outline = state.centre, state.outline
-    in_doubt = check.turned < _PROVEN and not check.moved
-    unproven = check.turned < _PROVEN
+    in_doubt = check.turned < _PROOF_ROTATION and not check.moved
+    unproven = check.turned < _PROOF_ROTATION
     static = in_doubt and not outline.has_moved and check.odds_static > 0.0
     wrong_rig = not outline.has_moved and (
         _has_wrong_rig(check)
         or (in_doubt and outline.is_in_place)
-        or (static and len(state.filter.used) >= _PAIRS)  # a few discs do not decide, so both doubts remain
+        or (static and len(state.filter.used) >= _MIN_PAIRS)  # a few discs do not decide, so both doubts remain
     )
     was_in_place = outline.away > 0  # until now, as the outline shows
     first = outline.first if wrong_rig or not unproven else None
@@ -130,7 +132,7 @@ def _filtered_with_shift(
         predicted = tracker.filter.with_rig_uncertainty(predicted)
     if not wrong_rig:
         if unproven:
-            drift = min(outline.drift / tracker.rig.ball.radius, _DOUBT) if was_in_place else _DOUBT
+            drift = min(outline.drift / tracker.rig.ball.radius, _MAX_DRIFT) if was_in_place else _MAX_DRIFT
             predicted = _with_doubtful_map(predicted, drift)
         predicted = with_doubtful_turn(predicted, before.outline, tracker)
         predicted = tracker.filter.let_centre_move(predicted)
@@ -153,7 +155,7 @@ def back_on_bearings(
 
 def _interval(before: TrackState[So3State], stamp: float) -> float:
     """Return the time, s, that a frame counts for after the state before it."""
-    return min(max(stamp - before.filter.stamp, 1e-3), _FRAME)
+    return min(max(stamp - before.filter.stamp, 1e-3), _MAX_INTERVAL_S)
 
 
 def _checked(
@@ -167,8 +169,8 @@ def _checked(
             return check, None
         C = shift.covariance + f.joint[CENTRE, CENTRE]
         squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)
-        squared = min(squared, _MOST)
-    keep = math.exp(-dt / _OFF_TIME_S)
+        squared = min(squared, _MAX_FRAME_NIS)
+    keep = math.exp(-dt / _EVIDENCE_TIME_S)
     return check._replace(evidence=keep * check.evidence + (1.0 - keep) * squared), shift
 
 
@@ -181,29 +183,29 @@ def _compared(
     focal length against a right rig, and against a moving centre. A ball at rest shows no wrong length, since its discs
     keep their places.
     """
-    f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _OFF_TIME_S)
+    f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _EVIDENCE_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
     rests, fits = float(f.rate @ f.rate) <= RESTS**2, f.nis <= LARGE_NIS * used
-    if check.turned >= _PROVEN or check.moved or rests or used < 2 or fits:
+    if check.turned >= _PROOF_ROTATION or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
     hypotheses = stage.with_rig_uncertainty(predicted), predicted, stage.let_centre_move(predicted)
     wrong, right, moves = (stage.correct(each, state.points, pairing)[1] for each in hypotheses)
     return check._replace(
-        odds=max(check.odds + min(wrong - right, _MOST_NATS), 0.0),
-        odds_static=check.odds_static + min(max(wrong - moves, -_MOST_NATS), _MOST_NATS),
+        odds=max(check.odds + min(wrong - right, _MAX_FRAME_LOG_ODDS), 0.0),
+        odds_static=check.odds_static + min(max(wrong - moves, -_MAX_FRAME_LOG_ODDS), _MAX_FRAME_LOG_ODDS),
     )
 
 
 def _has_wrong_rig(check: CentreCheck) -> bool:
     """Return whether a wrong length in the rig explains the frames better than a right rig or a moving centre."""
-    return check.odds > _CERTAIN and check.odds_static > 0.0
+    return check.odds > _MIN_LOG_ODDS and check.odds_static > 0.0
 
 
 def _is_doubtful(state: TrackState[So3State]) -> bool:
     """Return whether the last frame may show that the centre is off, or has to prove that it is not."""
     f, used = state.filter, len(state.filter.used)
-    unproven = state.centre.turned < _PROVEN and float(f.rate @ f.rate) > RESTS**2
+    unproven = state.centre.turned < _PROOF_ROTATION and float(f.rate @ f.rate) > RESTS**2
     return unproven or f.nis > LARGE_NIS * used or used < len(state.points)
 
 
@@ -219,11 +221,13 @@ def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker
 def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, tracker: Tracker[So3Filter]) -> float:
     """Return by how much, rad, a frame proves that the ball turns about the centre."""
     radius, lifted = tracker.rig.ball.radius, tracker.settings.loss.lifted
-    if not state.confirmed or shift is None or shift.pairs < _PAIRS or not centre_offset.fits(shift, radius, lifted):
+    if not state.confirmed or shift is None or shift.pairs < _MIN_PAIRS:
+        return 0.0
+    if not centre_offset.fits(shift, radius, lifted):
         return 0.0
     speed = float(np.linalg.norm(state.filter.rate))
     variance = shift.sigma**2 + float(np.trace(state.filter.joint[CENTRE, CENTRE]))
-    return speed * dt * min(1.0, (_FITS * radius) ** 2 / max(variance, 1e-18))
+    return speed * dt * min(1.0, (_PROOF_SIGMA * radius) ** 2 / max(variance, 1e-18))
 
 
 def _with_doubtful_map(state: So3State, doubt: float) -> So3State:

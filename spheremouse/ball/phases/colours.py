@@ -14,19 +14,19 @@ from spheremouse.ball.events import DiscColours
 from spheremouse.ball.state import Colours, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Status, Step
 
-_ENOUGH = 0.2  # noise-free discs: with more information, the wait until the next trial doubles
-_WAIT = (0.5, 64.0)  # s between trials: first and longest; it doubles while the choice stays the same
-_LOST = 10.0  # s without a disc, after which the user may have placed another ball
+_MIN_INFORMATION = 0.2  # noise-free discs: with more information, the wait until the next trial doubles
+_FIRST_WAIT_S, _MAX_WAIT_S = 0.5, 64.0  # between trials; it doubles while the choice stays the same
+_OTHER_BALL_S = 10.0  # time without a disc after which the user may have placed another ball
 
 
 def is_trial_due(state: TrackState, stamp: float) -> bool:
     """Return True if the tracker must try all projections on the frame of `stamp` (s)."""
     colours, phase = state.colours, state.phase
-    wait = _WAIT[0] if isinstance(phase, Lost) else colours.wait  # a cover may have had colours of its own
+    wait = _FIRST_WAIT_S if isinstance(phase, Lost) else colours.wait  # a cover may have had colours of its own
     if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + wait:
         return False
     if isinstance(phase, Lost) and isinstance(phase.last, Tracking):
-        return phase.in_view_since is None and stamp - state.confirmed_at > _LOST
+        return phase.in_view_since is None and stamp - state.confirmed_at > _OTHER_BALL_S
     return True
 
 
@@ -53,9 +53,9 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if known and projection != before.projection:  # the frames of the trial may show different things
         projection, information = best_projection(image, detector, before.projection)
     if projection == before.projection:
-        wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
+        wait = min(2.0 * before.wait, _MAX_WAIT_S) if information > _MIN_INFORMATION else _FIRST_WAIT_S
         return state._replace(colours=before._replace(tried=frame.stamp, wait=wait, tried_now=()))
-    colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
+    colours = Colours(projection, tried=frame.stamp, wait=_FIRST_WAIT_S)
     state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
         return state

@@ -24,18 +24,20 @@ from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Status
 
-_AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
+_REST_RATE = 0.05  # rad/s, below which a ball brings no disc into view or out of it
 SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
-_JUMP = 16.0  # level of the player from which points pair by chance
+_JUMP_LEVEL = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, a cover on the ball hides more
-_TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
-_CERTAIN = math.log(0.999)  # log probability from which the most probable attitude counts as the only one
-_CLEAR_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
-_UNSEEN_TURN = 0.1  # probability that a ball turns about the one disc in view: the disc that stays is near the axis
-_KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
+_TURNING_RATE = 0.15  # rad/s, from which a disc may come into view with any frame
+# log probability from which the most probable attitude counts as the only one
+_CERTAIN_LOG_PROBABILITY = math.log(0.999)
+_MAX_NEW_DISC_SIGMA_PX = static.TURNED_PART * static.MOVED_PX  # standard deviation of a point that may be a new disc
+# probability that a ball turns about the one disc in view: the disc that stays is near the axis
+_UNSEEN_TURN_PROBABILITY = 0.1
+_MAX_KNOWN_SIGMA = 0.02  # rad per axis, up to which one disc alone holds the attitude: half a disc's width
 IDENTIFY_SIGMA = 0.003  # rad, of a direction when the map is searched; at a tenth any disc may be any other
 RISK = 1e-3  # probability of error up to which the map gives the attitude
-_MIN_SIGMA = 2e-4  # rad, the least one: 0.1 mm on a ball of 1 m, to which discs are laid and measured
+_MIN_DIRECTION_SIGMA = 2e-4  # rad, least error of a direction: 0.1 mm on a ball of 1 m, the accuracy of its discs
 
 
 def follow(
@@ -106,18 +108,18 @@ def updated_hypotheses(
     elif state.is_confirmed_by_another(stamp):
         return not_used(state)
     else:
-        less = 0.0 if turned_unseen is None else math.log1p(-_UNSEEN_TURN)
+        less = 0.0 if turned_unseen is None else math.log1p(-_UNSEEN_TURN_PROBABILITY)
         rest = [Hypothesis(f.predict(h.state, stamp), h.log_probability + less) for h in state.alternatives]
         if turned_unseen is not None:
-            rest.append(Hypothesis(turned_unseen, math.log(_UNSEEN_TURN)))
+            rest.append(Hypothesis(turned_unseen, math.log(_UNSEEN_TURN_PROBABILITY)))
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
-        turns = float(predicted.rate @ predicted.rate) > _TURNS**2
+        turns = float(predicted.rate @ predicted.rate) > _TURNING_RATE**2
         has_turned = turns or float(turned @ turned) > (2.0 * f.disc_angle) ** 2
         needed = has_turned and extend_map
         hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, needed)
         filtered = hypotheses[0].state
-        alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
+        alternatives = () if hypotheses[0].log_probability > _CERTAIN_LOG_PROBABILITY else hypotheses[1:]
     confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
     supported = confirmed or _supports(state, filtered, predicted, tracker)
     before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
@@ -172,10 +174,10 @@ def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracke
     half of the discs contradict counts as a cover, too. If discs in their places are significant, the ball is not
     covered.
     """
-    if not (predicted.is_placed and float(predicted.rate @ predicted.rate) < _AT_REST**2):
+    if not (predicted.is_placed and float(predicted.rate @ predicted.rate) < _REST_RATE**2):
         return False
     filtered = state.filter
-    jumped = filtered.manoeuvre_level >= _JUMP
+    jumped = filtered.manoeuvre_level >= _JUMP_LEVEL
     missing = filtered.known_missed
     most_missing = missing > 0.5 and missing + jumped > filtered.known_seen
     used = len(filtered.used)
@@ -217,7 +219,7 @@ def recognise_attitude(
         view_axis=tracker.filter.station.towards,
         horizon=tracker.filter.station.horizon,
         risk=risk,
-        min_sigma=min(max(least, _MIN_SIGMA), IDENTIFY_SIGMA),
+        min_sigma=min(max(least, _MIN_DIRECTION_SIGMA), IDENTIFY_SIGMA),
     )
     if known is None:
         return None
@@ -295,7 +297,7 @@ def _is_clear(state: TrackState) -> NDArray[np.bool_]:
     reveal nor reduce such an error. If it may be larger than the path that proves a candidate allows, it proves none.
     """
     covariance = state.detections.covariance[state.points.index]
-    return covariance[:, 0, 0] + covariance[:, 1, 1] < 2.0 * _CLEAR_PX**2
+    return covariance[:, 0, 0] + covariance[:, 1, 1] < 2.0 * _MAX_NEW_DISC_SIGMA_PX**2
 
 
 def _with_candidates(
@@ -315,4 +317,4 @@ def _with_candidates(
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
     """Return whether the attitude is known so well that one disc suffices to confirm it."""
     worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
-    return bool(worst < _KNOWN_SIGMA**2)
+    return bool(worst < _MAX_KNOWN_SIGMA**2)

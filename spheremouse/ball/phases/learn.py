@@ -21,17 +21,19 @@ from spheremouse.geometry.camera import project
 from spheremouse.geometry.matching import distances, mutual_nearest
 from spheremouse.geometry.rotation import Array, align, log, rotation_between
 
-_CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
-_FRAME = 1.0 / 30.0  # s, frame interval within which a turn about the line of sight is detected
+_MIN_LOG_ODDS = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
+_SPIN_INTERVAL_S = 1.0 / 30.0  # s, frame interval within which a turn about the line of sight is detected
 _MAX_PREDICTION_ERROR_PX = 6.0  # from the predicted to the seen place of a point
 _MAX_EXTRAPOLATION_S = 0.1  # interval between views over which a step predicts the next one
 _MODEL_ERROR = 0.1  # px, error of a disc's predicted centre from errors of pose and ball
-_REPLAY = 30  # frames kept until the ball moves, for filtering again without the look-alikes
-_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
-_FITS = 10.83  # chi-square with one degree of freedom, 99.9 %
-_BETTER = 30.0  # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
-_LINEAR = 0.005  # radii: a shift of the centre that places a disc at the limb to a tenth of a pixel, to first order
-_ROUNDS = 3  # each leaves a tenth of the error
+_MAX_KEPT_VIEWS = 30  # frames kept until the ball moves, for filtering again without the look-alikes
+_MIN_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of the picture differ by many deviations
+_MAX_CHI2 = 10.83  # chi-square with one degree of freedom, 99.9 %
+# squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
+_MIN_CHI2_DIFFERENCE = 30.0
+# radii: a shift of the centre that places a disc at the limb to a tenth of a pixel, to first order
+_MAX_LINEAR_SHIFT = 0.005
+_ITERATIONS = 3  # each leaves a tenth of the error
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
 
@@ -66,13 +68,13 @@ def learn(
         *phase.views,
         BufferedFrame(stamp, state.detections, state.points, predicted, track, state.camera, state.outline.seen),
     )
-    if len(views) > _REPLAY:
+    if len(views) > _MAX_KEPT_VIEWS:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
     if still is None and not phase.beside_map:
         still = still_while_two_turned(views, tracker)
     if still is None:
-        if len(views) == _REPLAY and _changed(views[0], views[1:]):
+        if len(views) == _MAX_KEPT_VIEWS and _changed(views[0], views[1:]):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = filtered_again(state, still, views, tracker) if len(still) else naive
@@ -91,10 +93,10 @@ def _filtered_with_its_rig(
     shift explains, it has dropped views, and its result does not count.
     """
     unit, assumed = np.array([1.0, *[tracker.rig.ball.radius] * 3]), views[0].points.rig_error
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         shown = state.filter.rig_error
         shift = float(np.linalg.norm((shown - assumed) / unit))
-        if shift < _LINEAR or state.filter.centre_noise > 0.0:
+        if shift < _MAX_LINEAR_SHIFT or state.filter.centre_noise > 0.0:
             break
         again = filtered_again(state, still, views, tracker)
         if np.linalg.norm(rotation_between(state.filter.attitude, again.filter.attitude)) > shift:
@@ -198,7 +200,8 @@ def _flat(
     towards = pose.position - rig.ball.centre
     towards = towards / np.linalg.norm(towards)
     middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
-    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # large turns match rows of spots
+    # large turns match rows of spots
+    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _SPIN_INTERVAL_S
     if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * MOVED_PX:
         return False
     off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
@@ -207,7 +210,7 @@ def _flat(
     A = np.sqrt(weight)[:, None] * np.stack([a, np.ones_like(a)], axis=1)
     similarity = np.linalg.lstsq(A, np.sqrt(weight) * b)[0]
     chi2_flat = float(np.sum(np.abs(np.sqrt(weight) * b - A @ similarity) ** 2))
-    return chi2_flat - float(weight @ np.sum(off * off, axis=1)) < 2.0 * _CERTAIN
+    return chi2_flat - float(weight @ np.sum(off * off, axis=1)) < 2.0 * _MIN_LOG_ODDS
 
 
 def _variance(view: BufferedFrame, which: NDArray[np.intp]) -> Array:
@@ -259,7 +262,7 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
     for view in views[:-1]:
         _, first, last = np.intersect1d(view.track, now.track, return_indices=True)
         path = np.linalg.norm(now.centre[last] - view.centre[first], axis=1)
-        moved, still = path > _PATH * MOVED_PX, path < STILL_PX
+        moved, still = path > _MIN_PATH * MOVED_PX, path < STILL_PX
         if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > (view is views[0]):
             continue  # both kinds must be in view from the first frame: a later one passed by
         pair = view.points.take(first[moved]), now.points.take(last[moved])
@@ -269,7 +272,7 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
         as_turn = float(np.sum(np.sum(turned**2, axis=1) / variance))
         step = now.centre[last[moved]] - view.centre[first[moved]]
         as_shift = float(np.sum((step - step.mean(axis=0)) ** 2) / (2.0 * _CENTRE_SIGMA**2))
-        if as_turn < _FITS and as_shift > as_turn + _BETTER:
+        if as_turn < _MAX_CHI2 and as_shift > as_turn + _MIN_CHI2_DIFFERENCE:
             index = last[still]
             return now.centre[index][would_move(now.points.take(index), rotation, tracker, MOVED_PX)]
     return None

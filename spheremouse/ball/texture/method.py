@@ -76,20 +76,22 @@ from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status
 
 TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
-_SEEN = 100  # samples of a part of the ball that show it
+_MIN_SAMPLES = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
-_DETAIL = 0.03  # rad, of path that shows a sample another part of the pattern
-_MOST_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
-_EVERY = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
-_LOOKS = 10.0  # such paths, of which one in `_EVERY` is weighed, after which the contrast of light is known
+_DETAIL_ANGLE = 0.03  # rad, of path that shows a sample another part of the pattern
+_MAX_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
+_TASK_CYCLE = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
+# such paths, of which one in `_TASK_CYCLE` is weighed, after which the contrast of light is known
+_PATHS_TO_KNOW_LIGHT = 10.0
 _FRAME_WEIGHT = 0.1  # of one frame in the running means, which cover a third of a second at 30 Hz
-_FLOOR_PX = 0.05  # standard deviation of an anchor's place per axis: errors of the picture that its pixels share
-_PRIOR = 0.01  # rad, of an anchor's place relative to the whole alignment
-_LOOSE = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
-_ANY = float(np.pi / 3.0**0.5)  # rad, standard deviation of an angle of which nothing is known
+# standard deviation of an anchor's place per axis: errors of the picture that its pixels share
+_ANCHOR_FLOOR_PX = 0.05
+_ANCHOR_PRIOR_SIGMA = 0.01  # rad, of an anchor's place relative to the whole alignment
+_MAX_ANCHOR_SIGMA = 0.005  # rad, standard deviation above which the pixels around an anchor do not determine its place
+_UNKNOWN_ANGLE_SIGMA = float(np.pi / 3.0**0.5)  # rad, standard deviation of an angle of which nothing is known
 _AXIS_UNSEEN, _AXIS_SEEN = 0.75, 0.25  # share of recent frames that show no rotation about some axis
-_PLAIN = 0.25  # of the usual details, below which the ball is covered: another pattern may have half of them
+_MIN_DETAILS = 0.25  # of the usual details, below which the ball is covered: another pattern may have half of them
 _OTHER_BALL_S = 5.0  # of details that fit at no attitude: it is another ball, or was painted
 
 
@@ -123,9 +125,9 @@ def detect_texture(
         now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
             now = _with_running_means(now, alignment)
-            if now.turned and now.frame_index % _EVERY == _EVERY - 1:
+            if now.turned and now.frame_index % _TASK_CYCLE == _TASK_CYCLE - 1:
                 now = compared_with_itself(detector, now, alignment)
-    elif _details(now) < _PLAIN * now.details:
+    elif _details(now) < _MIN_DETAILS * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
     found, anchors = _detections(detector.fine, alignment, tracker, predicted)
     proven = now.turned or now.proven
@@ -188,7 +190,7 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     counts = seen.counts > STATIC_ODDS
     number = np.bincount(part[counts], minlength=len(power))
     total = np.bincount(part[counts], nats[counts], minlength=len(power)) / DETAIL
-    return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _SEEN))
+    return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _MIN_SAMPLES))
 
 
 def _apart(view: TextureView) -> int:
@@ -239,11 +241,11 @@ def _learnt(
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
     pixel = detector.fine.pixel
     starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
-    turn, task = divmod(now.frame_index, _EVERY)
+    turn, task = divmod(now.frame_index, _TASK_CYCLE)
     moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
-    weighs = task == _EVERY // 2 or not now.turned
-    work = _Work(weighs, starts, moved, turn, min(path / _DETAIL, 1.0) / _LOOKS)
+    weighs = task == _TASK_CYCLE // 2 or not now.turned
+    work = _Work(weighs, starts, moved, turn, min(path / _DETAIL_ANGLE, 1.0) / _PATHS_TO_KNOW_LIGHT)
     fine, coarse = (
         _level_after(view, level, light, attitude, now, work)
         for view, level, light in zip(detector.views, (now.fine, now.coarse), shown, strict=True)
@@ -283,7 +285,7 @@ def _level_after(
 
 def _parts(tiles: Tiles) -> tuple[Tiles, ...]:
     """Return tiles in parts, one for each frame until the next lesson at most."""
-    return tuple(np.array_split(tiles, np.clip(-(-len(tiles) // _MOST_TILES), 1, _EVERY)))
+    return tuple(np.array_split(tiles, np.clip(-(-len(tiles) // _MAX_TILES), 1, _TASK_CYCLE)))
 
 
 def _with_lesson(view: TextureView, picture: Picture, lesson: Lesson) -> tuple[Picture, Lesson | None]:
@@ -306,7 +308,7 @@ def _detections(
     facing = tracker.filter.station.towards, tracker.filter.station.horizon
     unseen = float(np.sum(predicted.joint[:3, :3] * (np.eye(3) - alignment.known)))  # rad², about unknown axes
     tilted = alignment.tilt * (max(unseen, 0.0) * DETAIL / alignment.used) ** 0.5
-    errors, ball = (_LOOSE, _PRIOR, _FLOOR_PX * view.pixel, tilted), view_of(view.rig, view.pose)
+    errors = _MAX_ANCHOR_SIGMA, _ANCHOR_PRIOR_SIGMA, _ANCHOR_FLOOR_PX * view.pixel, tilted
     place, covariance, which = kernels.anchor_points(
         view.anchors,
         alignment.attitude,
@@ -315,7 +317,7 @@ def _detections(
         errors,
         alignment.known,
         facing,
-        ball,
+        view_of(view.rig, view.pose),
     )
     return Detections(place, covariance, alignment.pixels[which]), which
 
@@ -419,7 +421,7 @@ def _relocated(
     predicted: So3State, alignment: Alignment, stamp: float, tracker: Tracker[So3Filter], rate: Array | None = None
 ) -> So3State:
     """Return the state at an attitude that a search has found. About an axis that no pixel shows, it is any."""
-    covariance = _LOOSE**2 * alignment.known + _ANY**2 * (np.eye(3) - alignment.known)
+    covariance = _MAX_ANCHOR_SIGMA**2 * alignment.known + _UNKNOWN_ANGLE_SIGMA**2 * (np.eye(3) - alignment.known)
     return relocate(predicted, alignment.attitude, covariance, tracker.settings.so3, stamp, rate)
 
 

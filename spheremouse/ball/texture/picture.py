@@ -33,17 +33,18 @@ LEAST_WEIGHT = kernels.LEAST_WEIGHT  # of a known cell: one oblique view
 HALF = 1.1  # half the width of a face, as `picture.h` has it
 _CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
 FINEST, COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
-_SMALL, _LARGE = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
-_ROUNDING = 0.4  # grey values, of mean and interpolation
-_DARK = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
-_MOST_SAMPLES = 16000
-_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
-_DOUBLE = 2.0  # views of a tile, after which it is learnt half as often
-_SELDOM = 3  # times that this halves
-_SAME, SHOWS = 3.0, 2.0  # standard deviations of a contrast, of one that may not have changed, and of a detail
-_APART = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
+_SMALL_WIDTH, _LARGE_WIDTH = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
+_ROUNDING_SIGMA = 0.4  # grey values, of mean and interpolation
+_DARK_OFFSET = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
+_MAX_SAMPLES = 16000
+_MAX_MEAN_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
+_VIEWS_PER_HALVING = 2.0  # views of a tile, after which it is learnt half as often
+_MAX_HALVINGS = 3  # times that this halves
+# standard deviations of a contrast, of one that may not have changed, and of a detail
+_UNCHANGED_SIGMAS, SHOWS = 3.0, 2.0
+_DISTINCT_SIGMAS = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
 DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
-_OF_LATE = 0.2  # of a frame in the mean contrast
+_FRAME_WEIGHT = 0.2  # of a frame in the mean contrast
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 
 
@@ -132,11 +133,11 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
 
     `inside`, (size, size), is True where the chart shows the ball.
     """
-    small = 2 * max(round(0.5 * _SMALL / chart.spacing), 1) + 1
-    large = 2 * round(0.5 * _LARGE / chart.spacing) + 1
+    small = 2 * max(round(0.5 * _SMALL_WIDTH / chart.spacing), 1) + 1
+    large = 2 * round(0.5 * _LARGE_WIDTH / chart.spacing) + 1
     shown = inside.astype(np.uint8)
     share = np.float32(1.0) / np.maximum(_box(shown.astype(np.float32), large), np.float32(1e-3))
-    step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MOST_SAMPLES))), 1)
+    step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MAX_SAMPLES))), 1)
     direction = chart.directions()
     margin = small - 1  # a sample has its whole neighbourhood on the ball
     whole = cv2.erode(shown, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8), borderValue=0)
@@ -187,7 +188,7 @@ def light_on_charts(fine: TextureView, coarse: TextureView, grey: Image) -> tupl
     size = coarse.chart.size
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
     rough = np.asarray(cv2.bitwise_and(rough, coarse.inside), np.uint8)
-    far = _box(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK)
+    far = _box(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK_OFFSET)
     mean = float(rough.sum() / max(np.count_nonzero(coarse.inside), 1))
     return (ChartLight(grey, far), ChartLight(rough, far)), mean
 
@@ -225,7 +226,9 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
     A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
     """
     samples = contrast, view.direction, seen.least, seen.offset
-    counts, turning = kernels.leave_out_doubtful(samples, seen.first, seen.odds, _SAME * noise, SHOWS * noise)
+    counts, turning = kernels.leave_out_doubtful(
+        samples, seen.first, seen.odds, _UNCHANGED_SIGMAS * noise, SHOWS * noise
+    )
     return seen._replace(contrast=contrast, counts=counts, turning=turning)
 
 
@@ -256,7 +259,7 @@ def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
 def tiles_to_learn(view: TextureView, picture: Picture, attitude: Array, turn: int) -> Tiles:
     """Return the tiles, (k,), in view that a turn learns. The more often one was seen, the less it gains."""
     which = tiles_in_view(view, attitude)
-    every = 1 << np.minimum(picture.known.ravel()[which] / _DOUBLE, _SELDOM).astype(int)
+    every = 1 << np.minimum(picture.known.ravel()[which] / _VIEWS_PER_HALVING, _MAX_HALVINGS).astype(int)
     return which[(which - turn) % every == 0]
 
 
@@ -279,7 +282,7 @@ def _taught(
 ) -> Picture:
     learnt = Picture(*(part.copy() for part in picture))
     shown = contrast, view.number, seen.counts, seen.offset, view.step
-    kernels.learn_texture(shown, learnt, tiles, view.chart, attitude, _VIEWS, forget)
+    kernels.learn_texture(shown, learnt, tiles, view.chart, attitude, _MAX_MEAN_VIEWS, forget)
     return learnt
 
 
@@ -302,7 +305,7 @@ def grain_of(resampling: Resampling, image: Image) -> float:
     rows, columns = resampling.window
     weights = sample_weights_of(GREY, colours.shape[2])
     noise = kernels.noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
-    return float(np.hypot(noise / resampling.width, _ROUNDING))
+    return float(np.hypot(noise / resampling.width, _ROUNDING_SIGMA))
 
 
 def contrast_noise(grain: float, light: float) -> float:
@@ -327,7 +330,7 @@ def weigh(
     attitude: Array,
     noise: float,
     settle: float = 0.0,
-    apart: float = _APART,
+    apart: float = _DISTINCT_SIGMAS,
 ) -> Seen:
     """Return the samples with the odds after a frame at `attitude`, (3, 3), that they turn with the ball.
 
@@ -337,7 +340,7 @@ def weigh(
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
     kernels.weigh_static(
-        _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _OF_LATE, settle, apart
+        _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _FRAME_WEIGHT, settle, apart
     )
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     grid = np.zeros(view.number.shape, np.float32)

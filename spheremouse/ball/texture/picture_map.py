@@ -50,9 +50,9 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 from spheremouse.tracker import Frame
 
-_SAMPLES = 16000, 4000  # of the fine and of the coarse picture
-_BETTER = 1.1  # times as many views are worth saving
-_CONTOUR = 1e-3  # rad, standard deviation of a contour
+_MAX_SAMPLES = 16000, 4000  # of the fine and of the coarse picture
+_MIN_GAIN_OF_VIEWS = 1.1  # times as many views are worth saving
+_CONTOUR_SIGMA = 1e-3  # rad, standard deviation of a contour
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +105,11 @@ class PictureMap:
 
     def improves(self, saved: "PictureMap") -> bool:
         """Return whether the cells have been seen more often than those of a saved map."""
-        return float(self.fine.known.sum()) > _BETTER * float(saved.fine.known.sum())
+        return float(self.fine.known.sum()) > _MIN_GAIN_OF_VIEWS * float(saved.fine.known.sum())
 
     def compare(self, other: "PictureMap") -> PictureComparison | None:
         """Compare with another picture in any frame. Return None if they show no sign of the same ball."""
-        correlation = partial(kernels.correlate_texture, _samples(self.coarse, _SAMPLES[1]), other.coarse[:2])
+        correlation = partial(kernels.correlate_texture, _samples(self.coarse, _MAX_SAMPLES[1]), other.coarse[:2])
         for part in range(FRAMES_PER_SEARCH):
             for attitude in best_attitudes(correlation, attitudes_of_part(part, FRAMES_PER_SEARCH)):
                 found = self.compare_at(other, attitude.T)
@@ -119,10 +119,10 @@ class PictureMap:
 
     def compare_at(self, other: "PictureMap", rotation: Array) -> PictureComparison:
         """Compare with another picture, whose directions are about those of this one @ rotation.T, (3, 3)."""
-        rough = _aligned(_samples(self.coarse, _SAMPLES[1]), other.coarse, rotation.T, self.noise)
+        rough = _aligned(_samples(self.coarse, _MAX_SAMPLES[1]), other.coarse, rotation.T, self.noise)
         if not rough.correlation > LEAST_CORRELATION:
             return PictureComparison(rotation, rough.correlation, same_ball=False)
-        found = _aligned(_samples(self.fine, _SAMPLES[0]), other.fine, rough.attitude, self.noise)
+        found = _aligned(_samples(self.fine, _MAX_SAMPLES[0]), other.fine, rough.attitude, self.noise)
         return PictureComparison(found.attitude.T, found.correlation, fits(found))
 
     def turned(self, rotation: Array) -> "PictureMap":
@@ -263,5 +263,9 @@ def _samples(picture: Picture, most: int) -> Samples:
 def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
     pixel, one_anchor = 2.0 * HALF / picture.value.shape[1], np.zeros(picture.known.shape, np.int64)
     return align_samples(
-        samples, picture, attitude, noise, AlignmentScale(_CONTOUR, pixel, one_anchor, np.eye(3)[None] * (2.0 / 3.0))
+        samples,
+        picture,
+        attitude,
+        noise,
+        AlignmentScale(_CONTOUR_SIGMA, pixel, one_anchor, np.eye(3)[None] * (2.0 / 3.0)),
     )

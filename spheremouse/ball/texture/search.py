@@ -38,23 +38,23 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
-_COARSE = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
+_COARSE_FACTOR = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
 LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
 # standard deviations of the correlation of independent pictures: near a prediction, by a search of many attitudes, and
 # of a pattern that a search can find while half of it is covered
-_SIGNIFICANT, _SEARCH_SIGNIFICANT, CLEAR = 6.0, 9.0, 12.0
+_MIN_NEAR_SIGNIFICANCE, _MIN_SEARCH_SIGNIFICANCE, CLEAR = 6.0, 9.0, 12.0
 # A wrong attitude fits some details by chance. So a search must find so much of the usual correlation and of its
 # significance, and residuals up to so many times the usual ones. A hand or blur may make them larger near a prediction.
-_USUAL, _SURE, _USUAL_SCALE, _MOST_SCALE = 0.7, 0.5, 1.6, 2.5
-_CHANGED = 0.05  # part of the informative samples that changes by more than noise once the ball turns
+_MIN_USUAL_CORRELATION, _MIN_USUAL_SIGNIFICANCE, _MAX_SEARCH_SCALE, _MAX_NEAR_SCALE = 0.7, 0.5, 1.6, 2.5
+_MIN_CHANGED_PART = 0.05  # part of the informative samples that changes by more than noise once the ball turns
 # rad, of a search: no attitude is farther than 2.3° from the grid, where the coarse picture fits
-_STEP = float(np.radians(2.7))
-_AROUND, _FAR = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
+_GRID_STEP = float(np.radians(2.7))
+_FLICK_ANGLE, _JUMP_ANGLE = float(np.radians(12.0)), float(np.radians(48.0))  # a flick between two frames, and a jump
 # rad, apart are two attitudes of a pattern that repeats itself; part of the significance that both have
-_RIVAL, _EQUAL = float(np.radians(6.0)), 0.7
-_SEARCHED, _GLANCE = 200, 50  # samples
-_FEW = 1000  # attitudes that are looked at with all samples
-_BEST = 4  # attitudes of a search from which an alignment starts
+_MIN_RIVAL_ANGLE, _MIN_RIVAL_SIGNIFICANCE = float(np.radians(6.0)), 0.7
+_SEARCH_SAMPLES, _PRESELECTION_SAMPLES = 200, 50  # samples
+_MAX_FULL_ATTITUDES = 1000  # attitudes that are looked at with all samples
+_STARTS = 4  # attitudes of a search from which an alignment starts
 FRAMES_PER_SEARCH = 64  # of all attitudes: each frame tries another part of them
 PARTS_OF_COMPARISON = 4096  # of the ball with itself
 
@@ -85,9 +85,9 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
     mask = unmasked(clear_mask(rig, pose), masks)
     chart, resample = texture_chart(rig, pose)
     inside = chart.inside & (resample(mask) == 255)
-    parts = inside.reshape(chart.size // _COARSE, _COARSE, chart.size // _COARSE, _COARSE)
+    parts = inside.reshape(chart.size // _COARSE_FACTOR, _COARSE_FACTOR, chart.size // _COARSE_FACTOR, _COARSE_FACTOR)
     fine = texture_view(rig, pose, chart, inside)
-    coarse = texture_view(rig, pose, chart.reduced(_COARSE), parts.all(axis=(1, 3)))
+    coarse = texture_view(rig, pose, chart.reduced(_COARSE_FACTOR), parts.all(axis=(1, 3)))
     if len(coarse.at) == 0 or len(fine.at) == 0:
         raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller ones")
     return TextureDetector(resample._replace(inside=fine.inside), fine, coarse)
@@ -96,7 +96,7 @@ def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = 
 def texture_chart(rig: Rig, pose: Pose) -> tuple[Chart, Resampling]:
     """Return the fine chart of a rig's ball as the camera sees it from `pose`, and the way to it from an image."""
     spacing = texture_spacing(rig, pose)
-    chart = chart_of(rig, pose, spacing, _COARSE)
+    chart = chart_of(rig, pose, spacing, _COARSE_FACTOR)
     return chart, resampling(chart, rig, pose, 2 * max(round(0.5 * spacing / texture_pixel(rig, pose)), 1) + 1)
 
 
@@ -149,11 +149,11 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
     found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
     fitting = fits(found)
     if fitting or now.turned:
-        usual = fitting and found.scale < _MOST_SCALE * now.usual_scale
+        usual = fitting and found.scale < _MAX_NEAR_SCALE * now.usual_scale
         return (found if usual else None), usual
     # Only what has changed since the first frame counted. If that is little, the ball rests.
     whole = align(detector.fine, with_doubtful(now.fine.seen), now.fine.picture, attitude, now.noise)
-    return (whole if found.used < _CHANGED * whole.used and fits(whole) else None), False
+    return (whole if found.used < _MIN_CHANGED_PART * whole.used and fits(whole) else None), False
 
 
 def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
@@ -177,8 +177,8 @@ def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Ali
     if not rough.correlation > LEAST_CORRELATION:
         return None
     found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
-    usual = found.correlation > _USUAL * now.usual and found.scale < _USUAL_SCALE * now.usual_scale
-    least = max(_SEARCH_SIGNIFICANT, _SURE * now.usual_significance)
+    usual = found.correlation > _MIN_USUAL_CORRELATION * now.usual and found.scale < _MAX_SEARCH_SCALE * now.usual_scale
+    least = max(_MIN_SEARCH_SIGNIFICANCE, _MIN_USUAL_SIGNIFICANCE * now.usual_significance)
     return found if fits(found) and usual and significance(found) > least else None
 
 
@@ -189,7 +189,7 @@ def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment)
     """
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
     for grid in _GRIDS:
-        turns = grid[np.linalg.norm(log(grid) @ found.known, axis=1) > _RIVAL]
+        turns = grid[np.linalg.norm(log(grid) @ found.known, axis=1) > _MIN_RIVAL_ANGLE]
         if any(_is_rival(detector, now, found, start) for start in best_attitudes(correlation, turns @ found.attitude)):
             return True
     return False
@@ -203,10 +203,10 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
     if now.repeats or now.compared == PARTS_OF_COMPARISON:
         return now
     turns = attitudes_of_part(now.compared, PARTS_OF_COMPARISON)
-    attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _RIVAL]
+    attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _MIN_RIVAL_ANGLE]
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
-    glanced = np.argsort(-correlation(attitudes, _GLANCE))[:_BEST]
-    likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCHED) > LEAST_CORRELATION]
+    glanced = np.argsort(-correlation(attitudes, _PRESELECTION_SAMPLES))[:_STARTS]
+    likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCH_SAMPLES) > LEAST_CORRELATION]
     repeats = any(_is_rival(detector, now, found, start) for start in likely)
     return now._replace(compared=now.compared + 1, repeats=repeats)
 
@@ -214,14 +214,14 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
 def _is_rival(detector: TextureDetector, now: TextureState, found: Alignment, start: Array) -> bool:
     """Return whether a frame that fits at an attitude fits as well at another one, near `start`."""
     other = _fit_from(detector, now, start)
-    if other is None or significance(other) < _EQUAL * significance(found):
+    if other is None or significance(other) < _MIN_RIVAL_SIGNIFICANCE * significance(found):
         return False
-    return bool(np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _RIVAL)
+    return bool(np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _MIN_RIVAL_ANGLE)
 
 
 def fits(alignment: Alignment) -> bool:
     """Return whether frame and picture show the same."""
-    enough = alignment.correlation > LEAST_CORRELATION and significance(alignment) > _SIGNIFICANT
+    enough = alignment.correlation > LEAST_CORRELATION and significance(alignment) > _MIN_NEAR_SIGNIFICANCE
     return alignment.converged and enough
 
 
@@ -249,15 +249,15 @@ def _start_attitudes(
 
 def best_attitudes(correlation: Callable[[Array, int], Array], attitudes: Array) -> Array:
     """Return the attitudes, (k, 3, 3), with the largest correlation, by attitudes and a number of samples."""
-    if len(attitudes) > _FEW:  # a part of the samples leaves few to look at
-        rough = correlation(attitudes, _GLANCE)
+    if len(attitudes) > _MAX_FULL_ATTITUDES:  # a part of the samples leaves few to look at
+        rough = correlation(attitudes, _PRESELECTION_SAMPLES)
         attitudes = attitudes[np.argpartition(-rough, len(rough) // 20)[: len(rough) // 20]]
-    return attitudes[np.argsort(-correlation(attitudes, _SEARCHED))[:_BEST]]
+    return attitudes[np.argsort(-correlation(attitudes, _SEARCH_SAMPLES))[:_STARTS]]
 
 
 def _grid(least: float, most: float) -> Array:
     """Return the rotations, (n, 3, 3), of a cubic grid of vectors with lengths from `least` to `most` rad."""
-    k = np.arange(-int(most / _STEP), int(most / _STEP) + 1) * _STEP
+    k = np.arange(-int(most / _GRID_STEP), int(most / _GRID_STEP) + 1) * _GRID_STEP
     v = np.stack(np.meshgrid(k, k, k), axis=-1).reshape(-1, 3)
     length = np.linalg.norm(v, axis=1)
     return exp(v[(length > least) & (length <= most)].astype(np.float64))
@@ -269,7 +269,7 @@ def attitudes_of_part(part: int, parts: int) -> Array:
     The pole of the ball goes to directions on a spiral (Saff, Kuijlaars 1997, "Distributing many points on a sphere").
     About each the ball turns by equal steps.
     """
-    n, m = round(4.0 * np.pi / _STEP**2), round(2.0 * np.pi / _STEP)
+    n, m = round(4.0 * np.pi / _GRID_STEP**2), round(2.0 * np.pi / _GRID_STEP)
     k = np.arange(part % parts, n, parts)
     height, longitude = 1.0 - (2.0 * k + 1.0) / n, k * np.pi * (3.0 - 5.0**0.5)
     tilt = np.arccos(height)[:, None] * np.stack([-np.sin(longitude), np.cos(longitude), np.zeros(len(k))], axis=1)
@@ -277,4 +277,4 @@ def attitudes_of_part(part: int, parts: int) -> Array:
     return (exp(tilt)[:, None] @ about[None]).reshape(-1, 3, 3)
 
 
-_GRIDS = _grid(0.0, _AROUND), _grid(_AROUND, _FAR)
+_GRIDS = _grid(0.0, _FLICK_ANGLE), _grid(_FLICK_ANGLE, _JUMP_ANGLE)

@@ -34,7 +34,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.wand.ball import WandBall, WandTruth
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
-_FRAME = (
+_AXES = (
     "origin = ball centre, z = pole (away from robot / stick), x = azimuth 0, y = azimuth 90 (right-handed, "
     "counter-clockwise seen from above); disc = spherical cap, diameter = chord of its rim, "
     "angular radius = asin(diameter / 2 / radius)"
@@ -189,4 +189,4 @@ def wand_description(ball: WandBall) -> dict[str, Any]:
                 "points": float(ball.radius * disc.points_angle),
             }
         )
-    return {"name": ball.name, "radius": float(ball.radius), "body": ball.body, "frame": _FRAME, "discs": discs}
+    return {"name": ball.name, "radius": float(ball.radius), "body": ball.body, "frame": _AXES, "discs": discs}

@@ -36,7 +36,7 @@ _MIN_RING_PX = 3.5  # px across the narrowest ring: pixels on both its edges mix
 _CELLS = (16, 9)  # of a picture, in each of which a corner is wanted
 _CANDIDATE_POSES = 300
 _TILTS = (30.0, 45.0, 15.0, 40.0, 0.0, 35.0)  # deg
-_TURNS = (0.0, 10.0, 90.0, -25.0, 180.0, -90.0, 45.0)  # deg, about the line of sight
+_BOARD_ROLLS = (0.0, 10.0, 90.0, -25.0, 180.0, -90.0, 45.0)  # deg, about the line of sight
 _GOLDEN_ANGLE_DEG = 137.5  # deg between the directions of successive tilts: never twice the same
 
 # Places of a careful person: azimuth and elevation (deg), distance (m), roll (deg).
@@ -176,7 +176,7 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
     filled = np.zeros((_CELLS[1], _CELLS[0]))  # photos with a corner in each cell of the picture
     found: list[Pose] = []
     for k in range(n):
-        view = _TILTS[k % len(_TILTS)], _GOLDEN_ANGLE_DEG * k, _TURNS[k % len(_TURNS)]
+        view = _TILTS[k % len(_TILTS)], _GOLDEN_ANGLE_DEG * k, _BOARD_ROLLS[k % len(_BOARD_ROLLS)]
         tries = [_before_board(board, camera, view, rng) for _ in range(_CANDIDATE_POSES)]
         kept = [pose for pose in tries if pose is not None]
         if not kept:
