@@ -54,7 +54,7 @@ def with_camera(
     trackers = (*present, tracker)
     check_cameras([each.rig for each in trackers], tracker.settings)
     other = CameraState.of(begin_with(tracker, number, state.filter.stamp))
-    prior = np.block([[_shared(one, another) for another in trackers] for one in trackers])
+    prior = np.block([[_shared_covariance(one, another) for another in trackers] for one in trackers])
     return _filters(state._replace(others=(*state.others, other)), lambda f: f.with_camera(prior))
 
 
@@ -67,7 +67,7 @@ def check_cameras(rigs: Sequence[Rig], settings: Settings) -> None:
         )
 
 
-def _shared(one: Tracker[So3Filter], other: Tracker[So3Filter]) -> Array:
+def _shared_covariance(one: Tracker[So3Filter], other: Tracker[So3Filter]) -> Array:
     """Return the covariance, (7, 7), of the errors of one camera with those of another, before any frame."""
     if one is other:
         return one.filter.station.covariance()

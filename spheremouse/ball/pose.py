@@ -138,7 +138,7 @@ def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
     fits: list[Resection] = []
     for combination in product(*seen.values()):
         fits += _candidates(list(combination), np.array([known[s.code] for s in combination]), rig)
-    if not _settled(fits):
+    if not _is_complete(fits):
         chosen = [[*options, None] if len(options) > 1 else options for options in seen.values()]
         _refuse_many(seen, prod(len(options) for options in chosen))
         for combination in product(*chosen):
@@ -338,7 +338,7 @@ def _refuse_many(seen: dict[str, list[Sighting]], choices: int) -> None:
         raise PoseError(f"the picture has too many copies of the rig's targets ({copies}): cover the copies")
 
 
-def _settled(fits: list[Resection]) -> bool:
+def _is_complete(fits: list[Resection]) -> bool:
     """Return whether a fit of one copy of each visible target shows that no target of the rig is missing."""
     if not fits:
         return False
@@ -354,7 +354,7 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
     limit = 30.0  # px RMS of a fit that means anything at all
     fits = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < limit]
     full = [f for f in fits if len(f.codes) == most]
-    if full and not _settled(full):
+    if full and not _is_complete(full):
         full = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < 2.0]  # a copy of a target was among them
     if not full:
         return []

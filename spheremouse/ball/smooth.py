@@ -80,7 +80,7 @@ def observe(
         white = np.linalg.inv(np.linalg.cholesky(S + np.diag(by_map)))
         H, z = white @ H, white @ z
         J, score, residual = H.T @ H, H.T @ z, _residual(H, z, white @ np.diag(by_map) @ white.T)
-    return Observation(estimate, state.acceleration, J, score, _shared(state.joint), *residual)
+    return Observation(estimate, state.acceleration, J, score, _constant_part(state.joint), *residual)
 
 
 def _residual(H: Array, z: Array, by_map: Array) -> tuple[float, float]:
@@ -94,7 +94,7 @@ def _residual(H: Array, z: Array, by_map: Array) -> tuple[float, float]:
     return float(z @ rest @ z), max(float(np.trace(rest) - 2.0 * np.sum(rest * by_map)), 0.0)
 
 
-def _shared(joint: Array) -> Array:
+def _constant_part(joint: Array) -> Array:
     """Return the part of the covariance of rotation and rate, (6, 6), that the constant parameters explain."""
     constant = joint[KINEMATIC_DIM:-CLONE_DIM, KINEMATIC_DIM:-CLONE_DIM]
     cross = joint[:6, KINEMATIC_DIM:-CLONE_DIM]
@@ -205,23 +205,23 @@ def _levels(
     Each level's filter starts a frame from the mixture of all filters that may have changed to it (Blom, Bar-Shalom
     1988). `changes` (n - 1, l, l) are probabilities from row to column.
     """
-    start, _ = _updated(_start(observations[0], settings), observations[0])
+    start, _ = _update(_start(observations[0], settings), observations[0])
     modes, weights = [start] * len(densities), np.tile(prior_of_levels(settings.levels), (len(observations), 1))
     likelihoods = np.ones_like(weights)
     for k, observation in enumerate(observations[1:], 1):
         dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
         joint, informed = weights[k - 1][:, None] * changes[k - 1], bool(observation.information.any())
         logarithms = np.empty(len(densities))
-        for level, mixed in enumerate(_mixed(modes, joint / joint.sum(axis=0))):
-            predicted, _ = _predicted(mixed, dt, densities[level], informed)
-            modes[level], logarithms[level] = _updated(predicted, observation)
+        for level, mixed in enumerate(_mix(modes, joint / joint.sum(axis=0))):
+            predicted, _ = _predict(mixed, dt, densities[level], informed)
+            modes[level], logarithms[level] = _update(predicted, observation)
         likelihoods[k] = np.exp(logarithms - logarithms.max())
         weights[k] = joint.sum(axis=0) * likelihoods[k]
         weights[k] /= weights[k].sum()
     return weights, likelihoods
 
 
-def _mixed(modes: Sequence[Motion], weights: Array) -> list[Motion]:
+def _mix(modes: Sequence[Motion], weights: Array) -> list[Motion]:
     """Return the moments of l mixtures of m modes with `weights` (m, l)."""
     centre = modes[0]
     apart = np.array([centre.to(*mode[:3]) for mode in modes])
@@ -244,7 +244,7 @@ def smooth_interval(
     (Rauch, Tung, Striebel 1965, eq. 3.30; on a manifold x' - x_p is the logarithm of the rotation between them).
     The covariance of two successive states is P' G'.
     """
-    filtered, predictions = _filtered(observations, densities, settings)
+    filtered, predictions = _filter(observations, densities, settings)
     motions, gains = [filtered[-1]], []
     for before, (predicted, cross) in zip(filtered[-2::-1], predictions[::-1], strict=True):
         after = motions[-1]
@@ -261,7 +261,7 @@ def _start(observation: Observation, settings: So3Settings) -> Motion:
     return Motion(observation.estimate.rotation, np.zeros(3), np.zeros(3), np.diag(sigma**2))
 
 
-def _filtered(
+def _filter(
     observations: Sequence[Observation], densities: Array, settings: So3Settings
 ) -> tuple[list[Motion], list[tuple[Motion, Array]]]:
     """Return n filtered motions, and the n - 1 predictions with F P, (9, 9)."""
@@ -270,13 +270,13 @@ def _filtered(
     for k, observation in enumerate(observations):
         if k:
             dt = observation.estimate.stamp - observations[k - 1].estimate.stamp
-            predicted, cross = _predicted(motions[-1], dt, densities[k - 1], bool(observation.information.any()))
+            predicted, cross = _predict(motions[-1], dt, densities[k - 1], bool(observation.information.any()))
             predictions.append((predicted, cross))
-        motions.append(_updated(predicted, observation)[0])
+        motions.append(_update(predicted, observation)[0])
     return motions, predictions
 
 
-def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tuple[Motion, Array]:
+def _predict(motion: Motion, dt: float, density: float, informed: bool) -> tuple[Motion, Array]:
     """Return the motion after `dt` s, and F P, (9, 9), by a copy of the state that stays (stochastic cloning).
 
     Unless a frame soon corrects the acceleration, it fades (Singer 1970), as in the default filter.
@@ -287,7 +287,7 @@ def _predicted(motion: Motion, dt: float, density: float, informed: bool) -> tup
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 
-def _updated(prior: Motion, observation: Observation) -> tuple[Motion, float]:
+def _update(prior: Motion, observation: Observation) -> tuple[Motion, float]:
     """Return the motion given a frame, in information form, and its log likelihood up to a constant."""
     J, estimate = observation.information, observation.estimate
     d = prior.to(estimate.rotation, estimate.rate[:3], observation.acceleration)

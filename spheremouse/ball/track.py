@@ -239,8 +239,8 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
     )
     known_at = max(away, min(state.confirmed_at, stamp))  # another camera may show the ball
     if state.status is Status.TRACKING and stamp - known_at > tracker.settings.loss.lost_after:
-        return _reported(lost(state), stamp, (BallLost(Why.CAMERA),))
-    return _reported(state, stamp, ())
+        return _step(lost(state), stamp, (BallLost(Why.CAMERA),))
+    return _step(state, stamp, ())
 
 
 def advance(
@@ -273,9 +273,9 @@ def advance(
         state, more = _learn_readout(state, tracker)
         events = (*events, *more)
     if state.filter.stamp != stamp:  # a frame that the filter does not use
-        done = _reported(state._replace(filter=carried), stamp, events)
+        done = _step(state._replace(filter=carried), stamp, events)
         return done._replace(state=done.state._replace(filter=state.filter))
-    return _reported(state, stamp, events)
+    return _step(state, stamp, events)
 
 
 def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Events]:
@@ -287,7 +287,7 @@ def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Eve
     return state, () if abs(readout) < _READOUT_LEAST else (ReadoutKnown(readout),)
 
 
-def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
+def _step(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
     """Return the estimate of a frame, with the increment since the last confirmed one if discs confirm the attitude."""
     state, frames, f = state._replace(shown_at=stamp), state.frames + 1, state.filter
     increment, increment_covariance = np.zeros(6), np.zeros((6, 6))

@@ -93,7 +93,7 @@ def attitude(
         2.0 * math.pi * (1.0 - horizon),
     )
     sigmas = _sigma_grid(sigma if min_sigma is None else min_sigma, sigma, model)
-    tried = [_refined(points, known, each, view_axis, observation, model) for each in sigmas]
+    tried = [_refine(points, known, each, view_axis, observation, model) for each in sigmas]
     found = [refined for refined in tried if refined is not None]
     if not any(len(refined.rotation) for refined in found):
         return None
@@ -118,7 +118,7 @@ def _sigma_grid(least: float, most: float, model: IdentificationPrior) -> Array:
     return np.geomspace(most, least, steps + 1)
 
 
-def _refined(
+def _refine(
     points: Array,
     known: Array,
     sigma: float,

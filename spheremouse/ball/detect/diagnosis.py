@@ -91,7 +91,7 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
     if settings.polarity == "auto" and len(reverse) > len(_discs(own, settings)):
         own = light  # the detector accepts both polarities
     elif len(reverse) >= _MIN_SPOTS and len(reverse) > len(_discs(own, settings)):
-        return _shown(wrong, reverse, middle, disc)
+        return _with_evidence(wrong, reverse, middle, disc)
     blur = blur_of(grey)
     if blur > min(_MAX_BLUR, _MAX_RELATIVE_BLUR * disc):
         return Absence(Cause.BLURRED, middle, size=blur, disc=disc)
@@ -140,11 +140,11 @@ def _by_spots(spots: list[_Spot], grey: float, disc: float, settings: DiscSettin
     alike = _largest_group(clear, settings.size_tolerance)
     size = float(np.median([s.size for s in alike])) if alike else 1.0
     if len(alike) >= _MIN_SPOTS and abs(size - 1.0) > settings.size_tolerance:
-        return _shown(Cause.SIZE, alike, grey, disc)
+        return _with_evidence(Cause.SIZE, alike, grey, disc)
     faint = [s for s in spots if s.contrast < settings.contrast and abs(s.size - 1.0) < settings.size_tolerance]
     if len(faint) >= max(_MIN_SPOTS, len(clear)):
-        return _shown(Cause.FAINT, faint, grey, disc)
-    return _shown(Cause.SHAPE if spots else Cause.PLAIN, spots, grey, disc)
+        return _with_evidence(Cause.FAINT, faint, grey, disc)
+    return _with_evidence(Cause.SHAPE if spots else Cause.PLAIN, spots, grey, disc)
 
 
 def _largest_group(spots: list[_Spot], tolerance: float) -> list[_Spot]:
@@ -158,7 +158,7 @@ def _discs(spots: list[_Spot], settings: DiscSettings) -> list[_Spot]:
     return [s for s in spots if s.contrast >= settings.contrast and abs(s.size - 1.0) < settings.size_tolerance]
 
 
-def _shown(cause: Cause, spots: list[_Spot], grey: float, disc: float) -> Absence:
+def _with_evidence(cause: Cause, spots: list[_Spot], grey: float, disc: float) -> Absence:
     """Return a cause with the median contrast and size of the spots that support it."""
     if not spots:
         return Absence(cause, grey, disc=disc)

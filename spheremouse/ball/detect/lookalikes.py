@@ -149,8 +149,8 @@ def classify_candidates(
         none, alive = np.zeros(0, dtype=bool), stamp - candidates.seen < _FORGET_AFTER_S
         state = state if alive.all() else replace(state, candidates=candidates.take(alive))
         return none, none, np.zeros(0, dtype=np.intp), state
-    expected = _expected(candidates, attitude, rig, pose)
-    track = _found(candidates, expected, centre)
+    expected = _expected_places(candidates, attitude, rig, pose)
+    track = _match(candidates, expected, centre)
     known = track >= 0
     which = track[known]
     turns, stands = _classify_by_motion(centre[known], candidates.anchor[which], expected[which])
@@ -190,18 +190,18 @@ def known_before_to_turn(
     candidates = state.candidates
     if not candidates.proven.any():
         return proven
-    track = _found(candidates, _expected(candidates, attitude, rig, pose), centre)
+    track = _match(candidates, _expected_places(candidates, attitude, rig, pose), centre)
     proven[track >= 0] = candidates.proven[track[track >= 0]]
     return proven
 
 
-def _expected(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> Array:
+def _expected_places(candidates: Candidates, attitude: Array, rig: Rig, pose: Pose) -> Array:
     """Return the places, (t, 2) px, of the candidates if they were discs."""
     turned = seen_at(candidates.anchor_ball @ attitude.T, rig, pose)
     return np.where(np.isfinite(turned), turned, candidates.place)
 
 
-def _found(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
+def _match(candidates: Candidates, expected: Array, centre: Array) -> NDArray[np.intp]:
     """Return for each of `centre`, (n, 2) px, the index of a candidate that stayed or turned there, (n,); -1: none."""
     nearer = np.minimum(distances(centre, expected), distances(centre, candidates.place))
     return mutual_nearest(np.where(nearer < _MATCH_PX, nearer, np.inf))

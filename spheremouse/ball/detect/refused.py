@@ -70,7 +70,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
         nests = candidates_of(spots, proportion, wider, image.shape)[0]
         for nest in sorted(nests, key=lambda nest: -nest.area):  # rings within one are not another
             found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), bound)
-    for bound, wider in _widened(settings):
+    for bound, wider in _relaxed_rules(settings):
         more = detect_targets(image, radii, wider)
         for code, centre, radius in zip(more.codes, more.centre, more.radius, strict=True):
             found.add(
@@ -95,7 +95,7 @@ class _Places:
             self.refused.append(Refused(code, centre, radius, bound))
 
 
-def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
+def _relaxed_rules(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
     """Return the rules to relax, one at a time: each bound with the settings in which it alone is wider."""
     hues = {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
     hues = {

@@ -264,7 +264,7 @@ class So3Filter:
         """
         given, pairs, certain = kernels.update_by_frame(*self._frame(state, points))
         pairing = Pairing(*pairs)
-        corrected = _with_twist(_corrected(state, given, pairing), pairing)
+        corrected = _with_twist(_state_from_kernel(state, given, pairing), pairing)
         if pairing.complete:
             return corrected, pairing, certain
         again = self.nearest_pairs(corrected, points)
@@ -337,16 +337,16 @@ class So3Filter:
 
         A large correction is made again about the state it leads to.
         """
-        corrected, log_likelihood = self._corrected(state, points, pairing)
+        corrected, log_likelihood = self._correct(state, points, pairing)
         return _with_twist(corrected, pairing), log_likelihood
 
-    def _corrected(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
+    def _correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         rows, columns = pairing.rows, pairing.columns
         pairs = rows, columns, self._added_noise(state, pairing.noise_scale)
         given, log_likelihood = kernels.correct(
             state.body, self._measurement(state, points), pairs, state.pending, activity_of(self.settings)
         )
-        return _corrected(state, given, pairing), log_likelihood
+        return _state_from_kernel(state, given, pairing), log_likelihood
 
     def keep_map(
         self,
@@ -379,7 +379,7 @@ class So3Filter:
         if len(new) and len(state.candidates) and state.is_placed:  # else no place identifies a candidate
             squared = self._distances_to_candidates(state, points, new, np.arange(len(state.candidates)))
             rows, which = assign(squared, self.settings.gate)
-            state = self._promoted(state, points, new[rows], which)
+            state = self._promote(state, points, new[rows], which)
             new = np.delete(new, rows)
         return augment(state, points, new, self.station.radius)
 
@@ -395,7 +395,7 @@ class So3Filter:
             rows = seen.rows[turning & known]
             which = np.argmax(state.candidates == seen.numbers[turning & known, None], axis=1)
             in_place = self._distances_to_candidates(state, points, rows, which).diagonal() < self.settings.gate
-            state = self._promoted(state, points, rows[in_place], which[in_place])
+            state = self._promote(state, points, rows[in_place], which[in_place])
         state = augment(state, points, seen.rows[turning & ~known], self.station.radius)
         new = np.flatnonzero(~seen.turning & ~known)[: max(_MOST_CANDIDATES - len(state.candidates), 0)]
         return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.station.radius)
@@ -408,14 +408,14 @@ class So3Filter:
         columns, allowance = len(state.discs) + which, _omitted_variance(state, _NO_NOISE)
         return kernels.distances(state.body, measurement, columns, _NO_NOISE, allowance, self.settings.gate)
 
-    def _promoted(
+    def _promote(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], which: NDArray[np.intp]
     ) -> So3State:
         """Return the state with the candidates `which`, (k,), as discs, corrected by their points `rows`, (k,)."""
         if len(rows) == 0:
             return state
         promoted = promote(state, which)
-        corrected, _ = self._corrected(promoted, points, Pairing(rows, len(state.discs) + np.arange(len(rows))))
+        corrected, _ = self._correct(promoted, points, Pairing(rows, len(state.discs) + np.arange(len(rows))))
         return replace(
             corrected,
             used=np.concatenate([state.used, corrected.used]),
@@ -478,7 +478,7 @@ def relocate(
     )
 
 
-def _corrected(state: So3State, given: tuple[Any, ...], pairing: Pairing) -> So3State:
+def _state_from_kernel(state: So3State, given: tuple[Any, ...], pairing: Pairing) -> So3State:
     """Return the state with the fields that a correction by pairs changes."""
     motion, joint, weights, figures, modes = given
     Q, sightings, rows = _NO_NOISE, state.sightings, pairing.rows

@@ -52,7 +52,7 @@ def check_learning(
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
         return state, ()
-    (check, _), outline = _checked(state, _interval(before, stamp), tracker), state.outline
+    (check, _), outline = _update_evidence(state, _interval(before, stamp), tracker), state.outline
     if check.evidence <= _MAX_MEAN_NIS and not outline.has_moved:
         return state._replace(centre=check), ()
     if not outline.is_in_place:
@@ -82,8 +82,8 @@ def check_bearings(
         return state, ()
     radius, events = tracker.rig.ball.radius, ()
     dt = _interval(before, stamp)
-    check, shift = _checked(state, dt, tracker)
-    check = _compared(check, state, dt, tracker, predicted)
+    check, shift = _update_evidence(state, dt, tracker)
+    check = _update_odds(check, state, dt, tracker, predicted)
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
     if check.evidence > _MAX_MEAN_NIS or _has_wrong_rig(check) or refuted or state.outline.has_moved:
         events = () if check.moved else (OutOfRound(),)
@@ -158,7 +158,7 @@ def _interval(before: TrackState[So3State], stamp: float) -> float:
     return min(max(stamp - before.filter.stamp, 1e-3), _MAX_INTERVAL_S)
 
 
-def _checked(
+def _update_evidence(
     state: TrackState[So3State], dt: float, tracker: Tracker[So3Filter]
 ) -> tuple[CentreCheck, CentreOffset | None]:
     """Return the check after a frame, and the offset of the centre if the frame leaves a doubt."""
@@ -174,7 +174,7 @@ def _checked(
     return check._replace(evidence=keep * check.evidence + (1.0 - keep) * squared), shift
 
 
-def _compared(
+def _update_odds(
     check: CentreCheck, state: TrackState[So3State], dt: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> CentreCheck:
     """Return the check after a frame with the odds of a rig with a wrong length.

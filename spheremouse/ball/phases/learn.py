@@ -74,7 +74,7 @@ def learn(
     if still is None and not phase.beside_map:
         still = still_while_two_turned(views, tracker)
     if still is None:
-        if len(views) == _MAX_KEPT_VIEWS and _changed(views[0], views[1:]):
+        if len(views) == _MAX_KEPT_VIEWS and _most_are_gone(views[0], views[1:]):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = filtered_again(state, still, views, tracker) if len(still) else naive
@@ -218,7 +218,7 @@ def _variance(view: BufferedFrame, which: NDArray[np.intp]) -> Array:
     return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
 
 
-def _changed(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
+def _most_are_gone(anchor: BufferedFrame, since: tuple[BufferedFrame, ...]) -> bool:
     """Return True if more than half of the anchor's points are missing from all later views."""
     later = np.concatenate([view.centre for view in since])
     if len(anchor.points) == 0 or len(later) == 0:

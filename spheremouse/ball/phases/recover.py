@@ -81,11 +81,11 @@ def recover(
         if resting is None:
             filtered, reported = filtered.clone_attitude(), filtered.attitude
             if isinstance(last, Learning):
-                last = Learning(found=True, views=(_buffered(state, stamp, filtered),))
+                last = Learning(found=True, views=(_buffer(state, stamp, filtered),))
         state = state._replace(lookalikes=forget(state.lookalikes))
         return start_tracking(state, last, filtered, reported, stamp), (Recognised(pairs),)
     if recognised is None and phase.lifted_at is None:
-        state, events = _followed(state, phase, stamp, tracker, predicted)
+        state, events = _track_or_lose(state, phase, stamp, tracker, predicted)
         if events:
             return state, events
     waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < _NEW_CENTRE_AFTER_S
@@ -147,7 +147,7 @@ def try_new_map(
     return tried, (NewMap(), *events)
 
 
-def _followed(
+def _track_or_lose(
     state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
     """Return the ball as tracked if discs near their predicted places confirm its attitude, or else as lost.
@@ -237,8 +237,8 @@ def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, B
     """Return a new map at the last attitude from this frame's points, and the view. It may include look-alikes."""
     start = tracker.filter.initial(stamp, state.filter.attitude).with_cameras_of(state.filter)
     filtered = tracker.filter.update(start, state.points)
-    return filtered, _buffered(state, stamp, start)
+    return filtered, _buffer(state, stamp, start)
 
 
-def _buffered(state: TrackState[F], stamp: float, filter_state: F) -> BufferedFrame:
+def _buffer(state: TrackState[F], stamp: float, filter_state: F) -> BufferedFrame:
     return BufferedFrame(stamp, state.detections, state.points, filter_state, camera=state.camera)

@@ -173,7 +173,7 @@ class ConstantDiscsFilter(_EulerFilter):
         x = np.concatenate([state.angles, state.angle_rates])
         x, P = _correct(x, state.state_covariance, (points.position[i] - expected[j]).ravel(), H, noise[i])
 
-        new = _unassociated(len(points), i, may_start_landmark)
+        new = _new_disc_points(len(points), i, may_start_landmark)
         stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
         return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
@@ -203,7 +203,7 @@ class StateDiscsFilter(_EulerFilter):
         x, P = _correct(x, state.state_covariance, innovation, H.reshape(3 * n, 6 + 3 * m), noise[i])
 
         kept = np.sort(j)
-        new = _unassociated(len(points), i, may_start_landmark)
+        new = _new_disc_points(len(points), i, may_start_landmark)
         rows = np.concatenate([np.arange(6), (6 + 3 * kept[:, None] + np.arange(3)).ravel()])
         R = from_euler(x[:3])
         stored = np.concatenate([x[6:].reshape(-1, 3)[kept], points.position[new] @ R])
@@ -267,7 +267,7 @@ def _associate(expected: Array, observed: Array, gate: float) -> tuple[NDArray[n
     return np.array(list(pairs), dtype=np.intp), np.array(list(pairs.values()), dtype=np.intp)
 
 
-def _unassociated(n: int, i: NDArray[np.intp], may_start_landmark: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+def _new_disc_points(n: int, i: NDArray[np.intp], may_start_landmark: NDArray[np.bool_] | None) -> NDArray[np.intp]:
     """Return the indices of the unassociated points that `may_start_landmark` (n,) allows as new discs (None: all)."""
     new = np.ones(n, dtype=bool) if may_start_landmark is None else may_start_landmark.copy()
     new[i] = False

@@ -54,7 +54,7 @@ def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
         case Learning():
             return learn(state, state.phase, stamp, tracker, predicted)
         case Tracking():
-            return _followed(state, stamp, tracker, predicted), ()
+            return _follow(state, stamp, tracker, predicted), ()
         case Lost():
             phase = seen_since(state.phase, len(state.points), stamp)
             state = state._replace(phase=phase)
@@ -63,7 +63,7 @@ def _next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerSt
             raise AssertionError("no map, nothing to recognise")
 
 
-def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> State:
+def _follow(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> State:
     """Return the state after an update. A candidate that moved with the ball becomes a disc at its next sighting."""
     state = update_filter(state, tracker, predicted)
     if all_are_discs(state):

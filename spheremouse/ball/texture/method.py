@@ -121,7 +121,7 @@ def detect_texture(
     elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
         alignment = None
     if alignment is not None:
-        now = _learnt(detector, now, shown, alignment.attitude)
+        now = _update_pictures(detector, now, shown, alignment.attitude)
         now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not searched:
             now = _with_running_means(now, alignment)
@@ -235,7 +235,7 @@ def _angle(a: Array, b: Array) -> float:
     return float(np.linalg.norm(rotation_between(a, b)))
 
 
-def _learnt(
+def _update_pictures(
     detector: TextureDetector, now: TextureState, shown: tuple[ChartLight, ChartLight], attitude: Array
 ) -> TextureState:
     """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
@@ -335,14 +335,14 @@ def _next_phase(
         return _without_alignment(state, stamp, tracker, predicted)
     match before:
         case Lost() | Recognising():
-            placed = _relocated(predicted, now.alignment, stamp, tracker)
+            placed = _relocate(predicted, now.alignment, stamp, tracker)
             filtered, saved = _update(state, tracker, placed).clone_attitude(), isinstance(before, Recognising)
             phase = before.last if isinstance(before, Lost) else Tracking()
             state = start_tracking(state, phase, filtered, filtered.attitude, stamp)
             return state._replace(absolute=saved or state.absolute), (Recognised(len(state.points), saved=saved),)
         case Learning(found=True) if now.turned:
             masked = int(np.count_nonzero(now.fine.seen.odds < STATIC_ODDS))
-            return _followed(state._replace(phase=Tracking()), stamp, tracker, predicted), (Turned(masked),)
+            return _follow(state._replace(phase=Tracking()), stamp, tracker, predicted), (Turned(masked),)
         case Learning(found=False) if now.proven:
             filtered = _update(state, tracker, predicted).clone_attitude()
             state = start_tracking(state, Learning(found=True), filtered, filtered.attitude, stamp)
@@ -350,7 +350,7 @@ def _next_phase(
         case Learning(found=False):
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
-    return _with_faults_reported(_followed(state, stamp, tracker, predicted))
+    return _with_faults_reported(_follow(state, stamp, tracker, predicted))
 
 
 def _without_alignment(
@@ -404,7 +404,7 @@ def _not_recognised(
     return state, (NewMap(saved=True),)  # the saved map is given up
 
 
-def _followed(
+def _follow(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> TrackState[So3State]:
     """Return the state after an update with the anchors in view."""
@@ -412,12 +412,12 @@ def _followed(
     if now.searched:  # the motion since the last confirmed frame is no small correction
         turned, gap = rotation_between(state.reported_attitude, now.alignment.attitude), stamp - state.confirmed_at
         rate = now.alignment.known @ turned / gap if 0.0 < gap <= tracker.settings.loss.lost_after else None
-        predicted = _relocated(predicted, now.alignment, stamp, tracker, rate)
+        predicted = _relocate(predicted, now.alignment, stamp, tracker, rate)
     filtered = _update(state, tracker, predicted)
     return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
 
-def _relocated(
+def _relocate(
     predicted: So3State, alignment: Alignment, stamp: float, tracker: Tracker[So3Filter], rate: Array | None = None
 ) -> So3State:
     """Return the state at an attitude that a search has found. About an axis that no pixel shows, it is any."""

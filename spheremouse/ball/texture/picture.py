@@ -268,16 +268,16 @@ def learn(view: TextureView, seen: Seen, contrast: Floats, picture: Picture, att
 
     A cell is the mean of up to 20 views.
     """
-    return _taught(view, seen, contrast, picture, attitude, tiles, forget=False)
+    return _learn_tiles(view, seen, contrast, picture, attitude, tiles, forget=False)
 
 
 def forget(view: TextureView, seen: Seen, picture: Picture, attitude: Array) -> Picture:
     """Return the picture without what a frame at `attitude`, (3, 3), took from pixels that stand still."""
     nothing = np.zeros(view.inside.shape, np.float32)
-    return _taught(view, seen, nothing, picture, attitude, tiles_in_view(view, attitude), forget=True)
+    return _learn_tiles(view, seen, nothing, picture, attitude, tiles_in_view(view, attitude), forget=True)
 
 
-def _taught(
+def _learn_tiles(
     view: TextureView, seen: Seen, contrast: Floats, picture: Picture, attitude: Array, tiles: Tiles, forget: bool
 ) -> Picture:
     learnt = Picture(*(part.copy() for part in picture))

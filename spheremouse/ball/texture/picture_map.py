@@ -119,10 +119,10 @@ class PictureMap:
 
     def compare_at(self, other: "PictureMap", rotation: Array) -> PictureComparison:
         """Compare with another picture, whose directions are about those of this one @ rotation.T, (3, 3)."""
-        rough = _aligned(_samples(self.coarse, _MAX_SAMPLES[1]), other.coarse, rotation.T, self.noise)
+        rough = _align(_samples(self.coarse, _MAX_SAMPLES[1]), other.coarse, rotation.T, self.noise)
         if not rough.correlation > LEAST_CORRELATION:
             return PictureComparison(rotation, rough.correlation, same_ball=False)
-        found = _aligned(_samples(self.fine, _MAX_SAMPLES[0]), other.fine, rough.attitude, self.noise)
+        found = _align(_samples(self.fine, _MAX_SAMPLES[0]), other.fine, rough.attitude, self.noise)
         return PictureComparison(found.attitude.T, found.correlation, fits(found))
 
     def turned(self, rotation: Array) -> "PictureMap":
@@ -130,7 +130,7 @@ class PictureMap:
 
         The anchors are the same directions in any frame. So they get the mean variance of those before.
         """
-        fine, coarse = (_turned(picture, rotation) for picture in (self.fine, self.coarse))
+        fine, coarse = (_rotate(picture, rotation) for picture in (self.fine, self.coarse))
         anchors, variance = anchor_directions(), float(variances(self.parts).mean())
         sightings = np.full(len(anchors), np.median(self.parts.sightings), dtype=np.intp)
         parts = DiscMap(anchors, variance * np.eye(2 * len(anchors)), sightings)
@@ -240,7 +240,7 @@ def unfolded(picture: Picture, width: int) -> Image:
     return np.where(known[..., None], grey[..., None], np.array([120, 60, 30], np.uint8))
 
 
-def _turned(picture: Picture, rotation: Array) -> Picture:
+def _rotate(picture: Picture, rotation: Array) -> Picture:
     return with_known(*look(picture, cell_directions(picture.value.shape[1]) @ rotation))
 
 
@@ -260,7 +260,7 @@ def _samples(picture: Picture, most: int) -> Samples:
     return picture.value.ravel()[index], np.ascontiguousarray(direction.T), zero, zero
 
 
-def _aligned(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
+def _align(samples: Samples, picture: Picture, attitude: Array, noise: float) -> Alignment:
     pixel, one_anchor = 2.0 * HALF / picture.value.shape[1], np.zeros(picture.known.shape, np.int64)
     return align_samples(
         samples,
