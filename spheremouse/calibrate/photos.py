@@ -63,7 +63,7 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
     photos = _without_duplicates(photos, note)
     _check_one_size(photos)
     if flagged := [p.path for p in photos if p.rotated]:
-        note(f"{_named(flagged)}: with a rotation flag, which is ignored: pixels are taken as the sensor read them")
+        note(f"{_names(flagged)}: with a rotation flag, which is ignored: pixels are taken as the sensor read them")
     return photos
 
 
@@ -163,7 +163,7 @@ def _check_one_size(photos: Sequence[Photo]) -> None:
         return
     most = sizes[0][0]
     lines = [
-        f"{_named([p.path for p in photos if p.size == size])}: {px(size)}, and the others {px(most)}: another mode or "
+        f"{_names([p.path for p in photos if p.size == size])}: {px(size)}, and the others {px(most)}: another mode or "
         "zoom, or turned by software; take originals in the mode you calibrate, and leave the rest out"
         for size, _ in sizes[1:]
     ]
@@ -212,7 +212,7 @@ def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
 # ---- words ----
 
 
-def _named(paths: Sequence[Path]) -> str:
+def _names(paths: Sequence[Path]) -> str:
     names = [str(paths[0]), *(p.name for p in paths[1:_MAX_NAMED])]
     more = f" and {len(paths) - _MAX_NAMED} more" if len(paths) > _MAX_NAMED else ""
     return ", ".join(names) + more

@@ -70,7 +70,7 @@ def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float)
     if found.shape[:2] != wanted:
         found = np.rot90(found)  # keeps the sense of rotation: X along rows, Y down
     corners = (found + 0.5) / scale - 0.5
-    uv = _refined(grey, corners)
+    uv = _refine(grey, corners)
     ids = np.flatnonzero(np.isfinite(uv).all(axis=1))
     if len(ids) < 0.9 * len(uv):
         return Sighting(np.empty(0, np.intp), np.empty((0, 2)), seen)
@@ -102,7 +102,7 @@ def _facing(grid: Array) -> Array:
     return grid if x[0] * y[1] - x[1] * y[0] > 0.0 else grid[:, ::-1]
 
 
-def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
+def _refine(grey: NDArray[np.uint8], grid: Array) -> Array:
     """Corners, (n, 2), of a grid (rows, columns, 2); nan if the gradients lead elsewhere."""
     gaps = np.full(grid.shape[:2], np.inf)
     for axis in (0, 1):

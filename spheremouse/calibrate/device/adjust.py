@@ -214,7 +214,7 @@ def shift_to_ball(result: BundleResult, views: TargetViews, device: Device) -> D
         step = l[columns.pose(i)]
         poses.append(Pose(exp(step[3:]) @ pose.rotation, (step[:3] - K) / unit, covariance[here, here].copy()))
     points = l[columns.point(np.arange(len(block.points)))]
-    measured = _measured(result)
+    measured = _all_image_points(result)
     return DeviceCalibration(
         device=device,
         camera=replace(
@@ -272,7 +272,7 @@ def _covariance_about_ball(result: BundleResult, n: int, unit: float, in_radii: 
     return 0.5 * (covariance + covariance.T)
 
 
-def _measured(result: BundleResult) -> MeasuredPoints:
+def _all_image_points(result: BundleResult) -> MeasuredPoints:
     """All image points, with the residuals of those used."""
     everything, used, image = result.everything, result.used, result.problem.image
     index = np.full(len(everything), -1)

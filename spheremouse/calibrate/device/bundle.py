@@ -145,7 +145,7 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
 
     A target's image point is the mean centroid of its circles, which face Z, eccentricity included.
     """
-    R, _, cam = _placed(block, image)
+    R, _, cam = _points_in_frames(block, image)
     uv, J = project(cam, block.camera)
     ring = np.flatnonzero(image.point < problem.targets)
     xy = cam[:, :2] / cam[:, 2:]
@@ -157,7 +157,7 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
     return uv, J, interior_jacobian(xy, block.camera), cam
 
 
-def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
+def _points_in_frames(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
     """R_obj_cam of each image point's photo, (n, 3, 3), vector from camera to point in obj, and point in cam."""
     R = np.array([p.rotation for p in block.poses])[image.photo]
     way = block.points[image.point] - np.array([p.position for p in block.poses])[image.photo]
@@ -172,7 +172,7 @@ def eccentricity_slopes(problem: Problem, block: Block) -> Array:
     """
     slopes = np.zeros((len(problem.image), 2, 6))
     ring = problem.image.point < problem.targets
-    R, _, cam = _placed(block, problem.image.take(ring))
+    R, _, cam = _points_in_frames(block, problem.image.take(ring))
     normal = R[:, 2]
     if not np.all(cam[:, 2] > 0.0):
         return slopes
@@ -216,7 +216,7 @@ def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes:
     uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: a large residual rejects the step
     by_cam = np.where(np.isfinite(by_cam), by_cam, 0.0)
     by_interior = np.where(np.isfinite(by_interior), by_interior, 0.0)
-    R, way, _ = _placed(block, image)
+    R, way, _ = _points_in_frames(block, image)
     by_point = (by_cam + slopes[:, :, :3]) @ R.transpose(0, 2, 1)
     by_turn = by_point @ hat(way)
     by_turn += slopes[:, :, 3:] @ R.transpose(0, 2, 1) @ hat(np.array([0.0, 0.0, 1.0]))  # the normal, seen from cam

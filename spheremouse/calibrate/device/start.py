@@ -85,7 +85,7 @@ def first_block(
     """
     while True:
         _enough(views, device, names)
-        block = _adjusted(views, device, camera)
+        block = _adjust(views, device, camera)
         behind = [i for i, pose in enumerate(block.poses) if pose.position[2] < 0.0]
         if behind:
             reason = (
@@ -95,7 +95,7 @@ def first_block(
             continue
         strange = _strange(views, block, device, camera)
         if strange is None:
-            return _scaled(views, block, device)
+            return _scale(views, block, device)
         photo, residual_px = strange
         reason = (
             f"its targets do not fit the other photos ({residual_px:.0f} px): another device, or a target was moved"
@@ -115,14 +115,14 @@ def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorO
     for i in range(len(views.photos)):
         others = _without(views, i, "")
         try:
-            rest.append(float(np.sum(_rms(others, _adjusted(others, device, camera), device, camera) ** 2)))
+            rest.append(float(np.sum(_rms(others, _adjust(others, device, camera), device, camera) ** 2)))
         except CalibrationError:
             rest.append(np.inf)
     best = int(np.argmin(rest))
     return (best, float(np.max(all_off))) if rest[best] < _MAX_REMAINING * float(np.sum(all_off**2)) else None
 
 
-def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
+def _scale(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
     """Return poses, points and depths scaled by the median ratio of the measured distances to those in `block`.
 
     Without measured distances, nothing changes. Raises DistanceError if a ratio is too far from the median.
@@ -175,7 +175,7 @@ def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
         )
 
 
-def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -> Block:
+def _adjust(views: TargetViews, device: Device, camera: InteriorOrientation) -> Block:
     """Return poses and targets: photos join the one with most targets, and an adjustment follows."""
     image = views.image
     xy, _ = unproject(image.centre, camera)

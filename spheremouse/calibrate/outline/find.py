@@ -79,7 +79,7 @@ def find_outline(
     moving = _moving(change)
     first = start or _ransac(moving, camera)
     blur = float(np.hypot(_MIN_BLUR, np.nan_to_num(np.median([blur_of(grey[k]) for k in (0, len(grey) // 2, -1)]))))
-    outline, edges = _refined(change, first, camera, _EDGE_RATIO / blur)
+    outline, edges = _refine(change, first, camera, _EDGE_RATIO / blur)
     if _has_other(moving, change, outline, camera, _EDGE_RATIO / blur):
         raise CalibrationError("several balls turn in the pictures", f"cover all but one, {POINTS}")
     return outline, edges
@@ -191,7 +191,7 @@ def _no_ball() -> CalibrationError:
     return CalibrationError("no ball turns in the pictures", f"{_TURN_HINT}, {POINTS}")
 
 
-def _refined(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> tuple[Outline, Array]:
+def _refine(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> tuple[Outline, Array]:
     """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px, and those."""
     f = np.sqrt(camera.fx * camera.fy)
     pixels, edges = outline.pixels(camera), np.zeros((0, 2))
@@ -232,7 +232,7 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
     """
     normal, offset = _normals(pixels), np.arange(reach, -reach, -_SAMPLING_PX)  # from outside
     at = pixels[:, None] + offset[:, None] * normal[:, None]
-    variance, xx, xy, yy = (_sampled(part, at) for part in (change.variance, *np.moveaxis(change.gradient, -1, 0)))
+    variance, xx, xy, yy = (_sample(part, at) for part in (change.variance, *np.moveaxis(change.gradient, -1, 0)))
     x, y = normal[:, None, 0], normal[:, None, 1]
     gradient = x * x * xx + 2.0 * x * y * xy + y * y * yy
     outside, within = (
@@ -262,7 +262,7 @@ def _steps(mean: Array, outline: Outline, edges: Array, camera: InteriorOrientat
     """
     pixels = outline.pixels(camera)
     normal, offset = _normals(pixels), np.arange(-_STEP_PX, _STEP_PX + _SAMPLING_PX, _SAMPLING_PX)
-    profile = _sampled(mean, pixels[:, None] + offset[:, None] * normal[:, None])
+    profile = _sample(mean, pixels[:, None] + offset[:, None] * normal[:, None])
     slope = np.abs(profile[:, 2:] - profile[:, :-2]) / (2.0 * _SAMPLING_PX)
     k, i = np.argmax(slope, axis=1), np.arange(len(slope))
     inner = np.clip(k, 1, slope.shape[1] - 2)
@@ -281,7 +281,7 @@ def _normals(pixels: Array) -> Array:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True), float)
 
 
-def _sampled(image: Array, at: Array) -> Array:
+def _sample(image: Array, at: Array) -> Array:
     """Return the values of an image at places, (..., 2) px."""
     x, y = np.moveaxis(at.astype(np.float32), -1, 0)
     return cv2.remap(np.ascontiguousarray(image, np.float32), x, y, cv2.INTER_CUBIC).astype(float)
@@ -290,17 +290,17 @@ def _sampled(image: Array, at: Array) -> Array:
 def _has_other(moving: Image, change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> bool:
     """Return whether another ball turns: a second region that moves, round, large, and with an edge all around."""
     pixels = outline.pixels(camera)
-    rest = _filled(moving, pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0)), 0)
+    rest = _fill_polygon(moving, pixels.mean(axis=0) + 1.1 * (pixels - pixels.mean(axis=0)), 0)
     try:
-        other, _ = _refined(change, _ransac(rest, camera), camera, level)
+        other, _ = _refine(change, _ransac(rest, camera), camera, level)
     except CalibrationError:
         return False
-    disc = _filled(np.zeros_like(rest), other.pixels(camera), 255)
+    disc = _fill_polygon(np.zeros_like(rest), other.pixels(camera), 255)
     common = np.count_nonzero(rest & disc)
     least = _ROUND * max(np.count_nonzero(rest), np.count_nonzero(disc))
     return bool(common > least) and other.angle > _AS_LARGE * outline.angle
 
 
-def _filled(image: Image, pixels: Array, value: int) -> Image:
+def _fill_polygon(image: Image, pixels: Array, value: int) -> Image:
     """Return an image with a polygon of (n, 2) px that has a grey value."""
     return np.asarray(cv2.fillPoly(image.copy(), [np.rint(np.clip(pixels, -1e4, 1e4)).astype(np.int32)], value))

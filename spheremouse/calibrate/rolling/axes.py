@@ -78,7 +78,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     are seen, or if they do not fit.
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
-    x, used = _fitted(sightings, rig, rolling, known)
+    x, used = _fit(sightings, rig, rolling, known)
 
     def residuals(x: Array = x, rig: Rig = rig, rolling: Rolling = rolling) -> Array:
         return _target_residuals(x, used, rig, rolling, known)
@@ -112,7 +112,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     return Axes(exp(x[:3]), C[:3, :3], float(np.exp(x[3])), parts=parts)
 
 
-def _fitted(
+def _fit(
     sightings: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[str, int]
 ) -> tuple[Array, tuple[Sighting, ...]]:
     """Rotation vector (R_obj_cam) and log distance, (4,), that fit the most targets best, and those targets."""
@@ -255,7 +255,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     rejected. The covariance includes that of the lens, which the results have separately, too. Raises CalibrationError
     if one of the three targets that define the axes is not seen.
     """
-    ids, uv, size = _seen(sightings, device)
+    ids, uv, size = _visible_targets(sightings, device)
     n, at = len(ids), {i: k for k, i in enumerate(ids)}
     common_sigma = np.stack([np.full(n, _SIZE_SIGMA[0]), _RADIUS_SIGMA[0] / size], axis=1)
     size_sigma = np.hypot(_SIZE_SIGMA[1], _RADIUS_SIGMA[1] / size)
@@ -296,7 +296,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     return Axes(R, joint[-3:, -3:], targets=MeasuredTargets(codes, places, joint, by_lens), parts=parts)
 
 
-def _seen(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tuple[list[int], Array, Array]:
+def _visible_targets(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tuple[list[int], Array, Array]:
     """Ids of the targets seen, in the order of the device, their centres, (n, 2) px, and radii, (n,) px."""
     code_of = dict(zip(device.ids, device.codes, strict=True))
     seen = {code: (centre, radius) for code, centre, radius in sightings}

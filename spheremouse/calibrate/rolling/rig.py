@@ -75,10 +75,10 @@ class AxesFrom:
     def find(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
         """Return the axes, with the covariance of the direction, and their source: targets, device or gestures."""
         self.check()
-        axes, source = self._found(rolled, views)
+        axes, source = self._axes_and_source(rolled, views)
         return with_direction(axes, rolled), source
 
-    def _found(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
+    def _axes_and_source(self, rolled: RollingAdjustment, views: Views) -> tuple[Axes, str]:
         """Return the axes of `obj` and their source: gestures, or ring targets. CalibrationError for grey pictures."""
         if self.gestures is not None:
             assert views.first is not None
@@ -90,17 +90,17 @@ class AxesFrom:
                 "the pictures are grey: targets need colour; roll two gestures (--forward, --right) instead"
             )
         if self.device is not None:
-            seen = _detected(views, self.device.target_radii)
+            seen = _detect(views, self.device.target_radii)
             return axes_from_rings(_sizes(seen), self.device, self.camera), "device"
         assert self.rig is not None
-        seen = _detected(views, self.rig.targets.radii)
+        seen = _detect(views, self.rig.targets.radii)
         try:
             return axes_from_targets(gather(seen), self.rig, rolled.rolling), "targets"
         except PoseError as e:
             raise CalibrationError(str(e)) from None
 
 
-def _detected(views: Views, radii: np.ndarray) -> list[TargetDetections]:
+def _detect(views: Views, radii: np.ndarray) -> list[TargetDetections]:
     return [detect_targets(image, radii, RingSettings()) for image in views.colour]
 
 

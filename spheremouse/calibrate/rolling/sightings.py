@@ -88,7 +88,7 @@ def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Setti
     if len(best.stamp) < 10:
         raise CalibrationError("the ball is hardly seen to turn: roll it on in all directions, slowly, for a minute")
     joined = [s if s is best else _in_frame_of(best, s, rig, pose) for s in segments]
-    rolling, sightings = _numbered([s for s in joined if s is not None], best.discs, rig, pose)
+    rolling, sightings = _assign_discs([s for s in joined if s is not None], best.discs, rig, pose)
     return TrackedRolling(rolling, sightings, float(np.median(sizes)) if sizes else 1.0, lost, count)
 
 
@@ -112,7 +112,7 @@ def _in_frame_of(best: _Segment, other: _Segment, rig: Rig, pose: Pose) -> _Segm
     return None
 
 
-def _numbered(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> tuple[Rolling, Sightings]:
+def _assign_discs(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> tuple[Rolling, Sightings]:
     """All frames in the order of time; each sighting belongs to the nearest disc of the map."""
     stamp = np.concatenate([s.stamp for s in segments])
     attitude = np.concatenate([np.array(s.attitude) for s in segments])
@@ -122,7 +122,7 @@ def _numbered(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> t
     cosine = ball @ discs.T
     disc = cosine.argmax(axis=1)
     near = cosine.max(axis=1) > np.cos(2.0 * rig.disc_angle)
-    near &= _unbiased(np.concatenate(direction), rig, pose)
+    near &= _are_unbiased(np.concatenate(direction), rig, pose)
     to_centre = pose.to_cam(rig.ball.centre)
     ratio = float(np.linalg.norm(to_centre))
     rolling = Rolling(to_centre / ratio, ratio, discs, stamp, pose.rotation.T @ attitude, rig.readout_s)
@@ -131,7 +131,7 @@ def _numbered(segments: list[_Segment], discs: Array, rig: Rig, pose: Pose) -> t
     return rolling, Sightings(frame, disc, centre, covariance).take(near & _once(frame, disc, cosine.max(axis=1)))
 
 
-def _unbiased(directions: Array, rig: Rig, pose: Pose) -> NDArray[np.bool_]:
+def _are_unbiased(directions: Array, rig: Rig, pose: Pose) -> NDArray[np.bool_]:
     """Return True for discs at `directions`, (n, 3) in obj, if their images are wide enough for an unbiased centre."""
     shape = np.nan_to_num(appearance(directions, rig, pose).shape)
     minor = np.sqrt(np.maximum(np.linalg.eigvalsh(shape)[:, 0], 0.0))

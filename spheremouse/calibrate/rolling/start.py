@@ -345,14 +345,14 @@ def _search_ball(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientati
     )
     starts = grid[np.argsort(cost)[:_MAX_NODES]]
     starts = starts[suppress(starts, np.full(len(starts), 0.25 * half.max()), norm=np.inf)[:_MAX_STARTS]]
-    refined = [_minimised(start, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
+    refined = [_minimise(start, subset, camera.fx, 4.0 * _RESIDUAL_SCALE_PX, 0.1 * half.max()) for start in starts]
     best = refined[int(np.argmin(_cost(np.array(refined), pairs, camera.fx, _RESIDUAL_SCALE_PX)))]
     for scale, step in ((_RESIDUAL_SCALE_PX, 0.02), (0.3 * _RESIDUAL_SCALE_PX, 0.004)):
-        best = _minimised(best, pairs, camera.fx, scale, step * half.max())
+        best = _minimise(best, pairs, camera.fx, scale, step * half.max())
     return best
 
 
-def _minimised(x: Array, pairs: _Pairs, focal: float, scale: float, step: float) -> Array:
+def _minimise(x: Array, pairs: _Pairs, focal: float, scale: float, step: float) -> Array:
     """Return the minimum of the cost near x, (3,). `step` is the size of the first simplex in x/z and y/z."""
     minimum = minimize(
         lambda y: float(_cost(y[None], pairs, focal, scale)[0]),
