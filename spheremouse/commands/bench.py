@@ -51,7 +51,7 @@ def bench(
     from spheremouse.files.safe_files import write_json
 
     check_outputs([json_file], [dataset], force=True)
-    film = _simulated() if dataset is None else _recorded(dataset)
+    film = _simulated_film() if dataset is None else _recorded_film(dataset)
     with _one_thread(), progress_bar(auto_refresh=False) as bar:
         task = bar.add_task("stepping", total=steps)
         progress_steps = max(1, steps // 100)
@@ -80,7 +80,7 @@ class Steps:
     compared: tuple[float, ...] = ()  # s, medians on the same frames in turn: a step, and each of _DETECTORS
 
 
-def _simulated() -> Film:
+def _simulated_film() -> Film:
     from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
     fps = SimulationOptions().fps
@@ -88,7 +88,7 @@ def _simulated() -> Film:
     return Film("simulated far scene", film.scene.rig(), 1.0 / fps, lambda: (made.frame for made in simulate(film)))
 
 
-def _recorded(path: Path) -> Film:
+def _recorded_film(path: Path) -> Film:
     from spheremouse.files.dataset.ball import open_dataset
     from spheremouse.files.dataset.frames import read_frames
 

@@ -51,7 +51,7 @@ def match(
 
     check_outputs([out], [log, config, rig, camera], force=force)
     plan = _plan(recording, assignments or [], config, rig, camera)
-    found, device = _matched(recording, plan, log)
+    found, device = _track_and_match(recording, plan, log)
     verdict, before = judge(found), plan.configuration.motion
     settings = settings_of(found, device.radius_m, before) if verdict.usable else None
     _print_match(found, verdict)
@@ -86,7 +86,7 @@ def _plan(
     return plan
 
 
-def _matched(recording: str, plan: "RunConfig", log: Path) -> "tuple[Match, Rig]":
+def _track_and_match(recording: str, plan: "RunConfig", log: Path) -> "tuple[Match, Rig]":
     """Track the recording and match it with the log; DatasetError if one of them has too little."""
     from spheremouse.evaluation.trackball import MIN_COMMON_S, RotationSteps, match
     from spheremouse.files.mouse_log import read_log

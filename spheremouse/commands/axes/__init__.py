@@ -82,7 +82,7 @@ def axes(
     if dialogue.stopped:
         raise KeyboardInterrupt
     for key, value, before in values:
-        print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
+        print(f"{key}: {_format(value)} ({'as it was' if value == before else f'was {_format(before)}'})")
     kept = {} if config is None else _options_to_keep(plan, given, config)
     for key, value, _ in values:
         kept[tuple(key.split(".")) if profile is None else ("profiles", profile, key)] = value
@@ -91,7 +91,7 @@ def axes(
         print(f"it names no camera yet: add a line such as `source: {default_camera()}`")
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

@@ -80,7 +80,7 @@ def device(
     settings_used = in_force(config, settings or (), root())
     photos_read = read_photos(photos, note=note)
     check_size(photos_read, camera, camera_file)
-    calibration = _calibrated(photos_read, described, camera, device_file, settings_used)
+    calibration = _calibrate(photos_read, described, camera, device_file, settings_used)
     names = [p.path.name for p in photos_read]
     advice = advise(calibration, names)
     if calibration.rms_px > DOUBTFUL_RMS:
@@ -124,7 +124,7 @@ def _check_inputs(device_file: Path, camera_file: Path) -> None:
             raise CalibrationError(f"{file}: no such file; give {option} FILE: {hint}")
 
 
-def _calibrated(
+def _calibrate(
     photos: "Sequence[Photo]",
     described: "Device",
     camera: "InteriorOrientation",

@@ -80,7 +80,7 @@ def photos(
     place = folder / ("board" if what == "camera" else "device")
     begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
     with nullcontext(JsonScreen(picture)) if as_json else open_screen(sound) as screen:
-        with _opened(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
+        with _open(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, screen)
         selector = outcome.selector
         if what == "camera" and selector is not None and selector.count:
@@ -146,7 +146,7 @@ def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Si
 
 
 @contextmanager
-def _opened(
+def _open(
     source: str | None, configured: "Configuration", folder: Path, place: Path, screen: "Screen"
 ) -> Iterator["Source"]:
     """Open the camera in the mode of the existing photos."""

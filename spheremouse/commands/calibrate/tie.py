@@ -67,7 +67,7 @@ def tie(
     if live:
         print(f"roll the ball in all directions for {length:g} s", file=sys.stderr, flush=True)
     with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(lambda each: _tracked(each, length), plan.cameras)
+        first, second = pool.map(lambda each: _track(each, length), plan.cameras)
     found = estimate(first[0], second[0])
     provenance = {
         "made_by": "spheremouse calibrate tie",
@@ -86,7 +86,7 @@ def tie(
         )
 
 
-def _tracked(plan: "RunConfig", seconds: float) -> tuple["AttitudeTrack", "Rig"]:
+def _track(plan: "RunConfig", seconds: float) -> tuple["AttitudeTrack", "Rig"]:
     """Track the ball by the camera of a plan with one, and return what it saw, and its rig."""
     import numpy as np
 

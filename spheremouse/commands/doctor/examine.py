@@ -46,9 +46,9 @@ def examine(
 ) -> Iterator[Section]:
     """Yield each section when it is done. `progress` takes a line about the step in progress."""
     progress("checking the program")
-    yield Section("program", tuple(_guarded("version", computer.version)))
+    yield Section("program", tuple(_run_check("version", computer.version)))
     status, told = running.ask(socket)
-    yield Section("daemon", (told, *(_guarded("state", running.check, status) if status else ())))
+    yield Section("daemon", (told, *(_run_check("state", running.check, status) if status else ())))
     there = nodes()
     usual = files.usual(overrides, status)
     plan, findings = files.read(usual, f"v4l2:{there[0].lasting or there[0].path}" if there else None)
@@ -66,14 +66,14 @@ def examine(
                     findings = tuple(f for f in section.findings if f.name != "map")
                     yield Section(f"{section.subject} {number}", findings)
     node = node if node is not None and node.exists() else None
-    yield Section("service", tuple(_guarded("service", service.installed, node)))
+    yield Section("service", tuple(_run_check("service", service.installed, node)))
     progress("checking the computer")
     record = RecordSettings() if plan is None else plan.configuration.record
     checks = (
-        _guarded("disk", computer.disk, record, files.service_state(usual)),
-        _guarded("memory", computer.memory),
-        _guarded("scheduling", computer.scheduling, Place().unit.exists()),
-        _guarded("load", computer.load),
+        _run_check("disk", computer.disk, record, files.service_state(usual)),
+        _run_check("memory", computer.memory),
+        _run_check("scheduling", computer.scheduling, Place().unit.exists()),
+        _run_check("load", computer.load),
     )
     yield Section("computer", tuple(f for check in checks for f in check))
 
@@ -94,13 +94,13 @@ class _Run:
         self, there: list[Node], status: StatusReport | None, seconds: float, progress: Progress
     ) -> Iterator[Section]:
         camera = [_cameras(there, self.live)]
-        camera += _guarded("camera", capture.probe, self.plan.source) if self.node is not None else []
+        camera += _run_check("camera", capture.probe, self.plan.source) if self.node is not None else []
         if self._is_in_use(status):
             advice = "to look through it, stop the daemon (systemctl stop spheremouse, or ctl stop) and repeat this"
             camera.append(unchecked("film", "the daemon that runs has the camera: its figures are above", advice))
         elif not any(f.verdict is Verdict.WRONG for f in camera):
             progress(f"filming {seconds:g} s with {self.plan.source}")
-            camera += _guarded("film", self._film, seconds)
+            camera += _run_check("film", self._film, seconds)
         picture = self._check_wand_files() if self.of_wand else self._check_rig_and_map()
         yield Section("configuration", tuple(self.findings))
         yield Section("camera", tuple(camera))
@@ -108,7 +108,7 @@ class _Run:
             progress(f"looking for {'the ball' if self.of_wand else 'targets and discs'}")
             if findings := tuple(picture(self.footage)):
                 yield Section("picture", findings)
-        findings = tuple(f for spec in self.plan.outputs for f in _guarded("output", output.probe, spec))
+        findings = tuple(f for spec in self.plan.outputs for f in _run_check("output", output.probe, spec))
         if not self.live and self.plan.outputs == ("null",):
             advice = "give --output KIND:ARG to have it looked at"
             findings = (unchecked("output", "none is named, and a recording needs none", advice),)
@@ -126,21 +126,21 @@ class _Run:
         source = None if self.brought is None else self.brought.source
         self.footage = footage = cameras.film(self.plan, seconds, self.node, source)
         yield ok("source", footage.description)
-        yield from _guarded("rate", cameras.rate, footage)
-        yield from _guarded("stamps", cameras.stamps, footage)
+        yield from _run_check("rate", cameras.rate, footage)
+        yield from _run_check("stamps", cameras.stamps, footage)
         if footage.controls is not None:
-            yield from _guarded("exposure", cameras.controls, footage.controls)
+            yield from _run_check("exposure", cameras.controls, footage.controls)
 
     def _check_wand_files(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
         """Check camera file and balls, and return the check of the pictures."""
-        self.findings += _guarded("camera file", wand.camera_file, self.plan, self.brought)
+        self.findings += _run_check("camera file", wand.camera_file, self.plan, self.brought)
         if self.findings[-1].verdict is not Verdict.OK:
             return lambda _: iter(())
         tracker, found = _pair("ball", wand.tracker_of, self.plan, self.overrides, self.brought)
         self.findings.append(found)
         if tracker is None:
             return lambda _: iter(())
-        return lambda footage: iter(_guarded("sight", wand.sight, footage.views, tracker))
+        return lambda footage: iter(_run_check("sight", wand.sight, footage.views, tracker))
 
     def _check_rig_and_map(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
         """Add findings about rig and map, and return the check of the pictures, which uses that rig.
@@ -157,8 +157,8 @@ class _Run:
             text = "the recording's own rig is used, because the configuration has errors"
             self.findings.append(unchecked("rig", text))
         elif rig is not None or not has_errors:
-            self.findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, recorded)
-        self.findings += _guarded("map", files.map_of, plan.map_path, rig, plan.configuration)
+            self.findings += _run_check("rig", files.rig_file, plan.rig_path, plan.rig, recorded)
+        self.findings += _run_check("map", files.map_of, plan.map_path, rig, plan.configuration)
         return lambda footage: self._picture(footage, rig)
 
     def _picture(self, footage: cameras.Footage, rig: Rig | None) -> Iterator[Finding]:
@@ -184,14 +184,14 @@ class _Run:
         mask = None if rig is None or pose is None or not in_view else ball_mask(rig, pose)
         greys = [sight.grey(v.image) for v in footage.views]
         noise = _noise(footage, seen)
-        yield from _guarded(
+        yield from _run_check(
             "brightness", sight.brightness, greys, mask, sight.contrasts(settings, rig), noise, projection
         )
         if seen is not None:
             exposure = None if footage.controls is None else footage.controls.exposure_s
             exposure = exposure or settings.camera.exposure_s or seen.rig.exposure_s
-            yield from _guarded("discs", sight.discs, footage.views, seen, settings.discs)
-            yield from _guarded("blur", sight.blur, seen, exposure, settings.discs, seen.rig.exposure_s > 0.0)
+            yield from _run_check("discs", sight.discs, footage.views, seen, settings.discs)
+            yield from _run_check("blur", sight.blur, seen, exposure, settings.discs, seen.rig.exposure_s > 0.0)
 
 
 def _cameras(nodes_found: list[Node], live: bool) -> Finding:
@@ -216,7 +216,7 @@ def _noise(footage: cameras.Footage, seen: sight.Sight | None) -> float:
     )
 
 
-def _guarded(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]:
+def _run_check(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]:
     """Return the findings of a check. If it fails, the last one is about its failure."""
     found: list[Finding] = []
     try:
@@ -224,7 +224,7 @@ def _guarded(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]
         for finding in [made] if isinstance(made, Finding) else made:
             found.append(finding)
     except Exception as e:
-        found.append(_failed(name, e))
+        found.append(_failure(name, e))
     return found
 
 
@@ -233,10 +233,10 @@ def _pair(name: str, check: Callable[..., tuple[Any, Finding]], *given: Any) -> 
     try:
         return check(*given)
     except Exception as e:
-        return None, _failed(name, e)
+        return None, _failure(name, e)
 
 
-def _failed(name: str, error: Exception) -> Finding:
+def _failure(name: str, error: Exception) -> Finding:
     if isinstance(error, SpheremouseError):
         return refused(name, error)
     what = " ".join(f"{type(error).__name__}: {error}".split())

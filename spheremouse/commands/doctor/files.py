@@ -65,7 +65,7 @@ def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig
     plan: RunConfig | None = None
     for attempt in attempts:
         try:
-            plan = read_run_config(_completed(attempt, camera))
+            plan = read_run_config(_with_defaults(attempt, camera))
             break
         except ConfigurationError as e:
             findings += [f for f in refusals("configuration", e) if f not in findings]
@@ -86,7 +86,7 @@ def _as_the_service(plan: RunConfig, overrides: CommandLineOverrides) -> RunConf
     return replace(plan, map_path=state / usual_map.name)
 
 
-def _completed(overrides: CommandLineOverrides, camera: str | None) -> CommandLineOverrides:
+def _with_defaults(overrides: CommandLineOverrides, camera: str | None) -> CommandLineOverrides:
     """Return the request with a source and an output, which a plan needs."""
     c = config.in_force(overrides.file, overrides.assignments, Configuration)
     sources = c.sources or (camera or "v4l2:",)
@@ -102,7 +102,7 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     if rig is None or path is None:
         advice = "calibrate (`spheremouse calibrate next`), or give --rig FILE, or `rig:` in the configuration"
         return unchecked("rig", "no rig yet: the pictures cannot be measured", advice)
-    made, verb = _made(path)
+    made, verb = _calibration_time(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
     text = f"{path}: {verb} {_since(days)}; {targets}, ball of {_length(rig)}"
@@ -142,7 +142,7 @@ def map_of(path: Path | None, rig: Rig | None, settings: Settings) -> Finding:
     return ok("map", f"{path}: {saved.map.text}, saved {age(saved)}", known=round(saved.map.amount))
 
 
-def _made(path: Path) -> tuple[datetime, str]:
+def _calibration_time(path: Path) -> tuple[datetime, str]:
     """Return the time of a rig's calibration, from its contents, else that of its file."""
     data = read_document(path).data
     try:

@@ -52,10 +52,10 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
         state = step(state, view, tracker).state
         seen.append(state.poses)
     for k in range(len(tracker.balls)):
-        yield _found([poses[k] for poses in seen])
+        yield _ball_finding([poses[k] for poses in seen])
 
 
-def _found(poses: list[WandPose]) -> Finding:
+def _ball_finding(poses: list[WandPose]) -> Finding:
     """Return the finding on one ball, from its result in each picture."""
     good = [p for p in poses if p.phase is Status.TRACKING]
     name, events = poses[0].name, [p.event for p in poses if p.event is not None]

@@ -56,7 +56,7 @@ def install(
     if dry_run:
         _would(actions)
     else:
-        _allowed(place, actions, "install")
+        _refuse_without_rights(place, actions, "install")
         for line in service.carry_out(actions, umask=0o077 if user else 0o022):
             typer.echo(line)
     if not actions:
@@ -66,7 +66,7 @@ def install(
     if place.root != _ROOT:
         return
     commands = _activation(place, start)
-    if dry_run or not _booted(place):
+    if dry_run or not _systemd_runs(place):
         _by_hand(place, commands, dry_run)
     elif not _run(commands):
         raise typer.Exit(1)
@@ -85,13 +85,13 @@ def uninstall(
     """Stop the service and remove its files. Configuration, calibration and recordings stay, unless --purge."""
     place = _checked_place(root, user)
     actions = list(service.uninstall(place, purge))
-    live = place.root == _ROOT and _booted(place)
+    live = place.root == _ROOT and _systemd_runs(place)
     if dry_run:
         _would(actions)
         if not actions:
             typer.echo("there is no service")
         return
-    _allowed(place, actions, "uninstall")
+    _refuse_without_rights(place, actions, "uninstall")
     if live and actions:
         _run([[*_systemctl(place), "stop", UNIT, VIEW_UNIT]], quiet=True)
     for line in service.carry_out(actions):
@@ -154,7 +154,7 @@ def _again(place: Place, command: str) -> str:
     )
 
 
-def _allowed(place: Place, actions: list[service.FileAction], command: str) -> None:
+def _refuse_without_rights(place: Place, actions: list[service.FileAction], command: str) -> None:
     if actions and not service.may(place):
         given = sys.argv[sys.argv.index(command) + 1 :] if {"service", command} <= set(sys.argv) else []
         raise ServiceError(
@@ -194,7 +194,7 @@ def _systemctl(place: Place) -> list[str]:
     return ["systemctl", "--user"] if place.user else ["systemctl"]
 
 
-def _booted(place: Place) -> bool:
+def _systemd_runs(place: Place) -> bool:
     """Return True if systemd runs here, as in sd_booted(3), or the user's own systemd."""
     if place.user:
         return (Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere") / "systemd").is_dir()

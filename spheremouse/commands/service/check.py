@@ -55,7 +55,9 @@ def check_files(place: Place) -> Finding:
 def check_state(place: Place) -> Finding:
     """Check whether the service runs."""
     name, user = ("own service", " --user") if place.user else ("service", "")
-    output = _shown([*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_QUERIED_PROPERTIES)}"])
+    output = _unit_properties(
+        [*f"systemctl{user}".split(), "show", UNIT, f"--property={','.join(_QUERIED_PROPERTIES)}"]
+    )
     active, result = output.get("ActiveState"), output.get("Result", "success")
     if not active:
         return unchecked(name, "systemd does not run here, or does not answer")
@@ -91,7 +93,7 @@ def check_user(node: Path | None) -> Finding:
     return ok("service user", f"{USER}, in the groups {', '.join(names)}")
 
 
-def _shown(command: list[str]) -> dict[str, str]:
+def _unit_properties(command: list[str]) -> dict[str, str]:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=3.0, check=False)
     except (OSError, subprocess.TimeoutExpired):

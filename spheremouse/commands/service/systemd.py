@@ -149,7 +149,7 @@ def executable(place: Place) -> tuple[str, str]:
         path = Path(place.inside(path))
     if re.search(r"[^\w./+~@:=-]", str(path)):
         return str(path), f"{path}: systemd needs a path without spaces and other signs; install elsewhere, as in /opt"
-    return str(path), "" if place.user or place.root != Path("/") else _unseen(path)
+    return str(path), "" if place.user or place.root != Path("/") else _unreadable_reason(path)
 
 
 def _schemes() -> Iterator[str]:
@@ -166,7 +166,7 @@ def _is_private(path: Path) -> bool:
     return False
 
 
-def _unseen(path: Path) -> str:
+def _unreadable_reason(path: Path) -> str:
     """Return why the service's user cannot read the program or its Python, or "". It sees neither homes nor /tmp."""
     hidden = tuple(f"{p}/" for p in _UNREACHABLE)
     python = Path(sys.executable).resolve()

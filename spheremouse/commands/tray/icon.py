@@ -192,10 +192,10 @@ def has_host(backend: str) -> bool:
     """Return whether there is a tray for the icon of this backend."""
     if backend == "appindicator" and _status_notifier():
         return True
-    return backend not in ("appindicator", "gtk") or _xembed()
+    return backend not in ("appindicator", "gtk") or _has_x11_tray()
 
 
-def _xembed() -> bool:
+def _has_x11_tray() -> bool:
     """Return whether there is a tray of X11, which owns a selection."""
     from Xlib import X
     from Xlib.display import Display
