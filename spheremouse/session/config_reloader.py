@@ -254,11 +254,11 @@ class ConfigReloader:
             except ConfigurationError as e:
                 pending.answer(refused(str(e)))
             else:
-                self._call(lambda: pending.attempt(lambda: self._saved(path, changes, pending)))
+                self._call(lambda: pending.attempt(lambda: self._finish_save(path, changes, pending)))
 
         self._workers.do(READING, write)
 
-    def _saved(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
+    def _finish_save(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
         """Count the changes as read from the file."""
         left = tuple(change for change in self.overrides.changes if change not in changes)
         self.overrides, without_changes = replace(self.overrides, changes=left), self.plan.without_changes

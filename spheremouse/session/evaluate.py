@@ -54,7 +54,7 @@ def joined(one: Recording, other: Recording) -> Recording:
     """Return the recording of two cameras: the truth of both, in the axes of the first, and no truth of pictures."""
     if one.truth is None or other.truth is None:
         return replace(one, truth=None, discs=None, name=f"{one.name} and {other.name}")
-    second = _turned(other.truth, other.turn)
+    second = _rotate_truth(other.truth, other.turn)
     stamp, attitude, rate = (
         np.concatenate([getattr(one.truth, name), getattr(second, name)]) for name in ("stamp", "attitude", "rate")
     )
@@ -126,10 +126,10 @@ def _in_axes_of(rig: Rig, recording: Recording) -> Truth | None:
     R = rig.pose.rotation @ recording.pose.rotation.T
     if np.linalg.norm(log(R)) < _OTHER_AXES:
         return truth
-    return _turned(truth, R)
+    return _rotate_truth(truth, R)
 
 
-def _turned(truth: Truth, R: Array) -> Truth:
+def _rotate_truth(truth: Truth, R: Array) -> Truth:
     return replace(truth, attitude=R @ truth.attitude, rate=truth.rate @ R.T)
 
 

@@ -205,7 +205,7 @@ def tune(
                 break
     except KeyboardInterrupt:
         pass
-    best, gains = _pruned(objective, best, least, fits)
+    best, gains = _prune(objective, best, least, fits)
     held_out = Objective(recording, settings, middle, recording.frames)
     other = held_out.losses(best) if best else held_out.present
     return Tuning(best, gains, compare(held_out.present, other, recording.fps), count)
@@ -233,7 +233,7 @@ def _search(
         yield defaults, loss
     while trials is None or count < trials:
         trial = study.ask()
-        values = {d["key"]: _suggested(trial, d, duration) for d in described}
+        values = {d["key"]: _suggest(trial, d, duration) for d in described}
         values = {d["key"]: values[d["key"]] for d in described if values[d["key"]] != d["value"]}
         loss = float(objective.losses(values, _MAX_LOSS_RATIO * least).mean())
         least = min(least, loss)
@@ -242,7 +242,7 @@ def _search(
         yield values, loss
 
 
-def _suggested(trial: Any, setting: dict[str, Any], duration: float) -> Any:
+def _suggest(trial: Any, setting: dict[str, Any], duration: float) -> Any:
     """Return a value within the bounds of a setting; numbers on a logarithmic scale, rounded to two digits."""
     key, least, most = setting["key"], setting["minimum"], setting["maximum"]
     if setting["type"] == "choice":
@@ -255,7 +255,7 @@ def _suggested(trial: Any, setting: dict[str, Any], duration: float) -> Any:
     return min(max(value, least), 0.99 * most)  # a bound may be excluded
 
 
-def _pruned(
+def _prune(
     objective: Objective, best: Values, loss: float, fits: Callable[[int], bool]
 ) -> tuple[Values, dict[str, float]]:
     """Return the settings that matter, and the part of the loss that each saves. Others go back.

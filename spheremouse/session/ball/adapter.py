@@ -222,7 +222,7 @@ class BallAdapter(TrackerAdapter):
         if mapped and plan.map_path is not None:
             MapKeeper(plan.map_path, rig, map_kind(rig, settings), _discard)
         tuned = "tracker" in changed and "rig" not in changed
-        state, trackers = self._tuned(settings) if tuned else (self.state, [c.tracker for c in self.cameras])
+        state, trackers = self._with_settings(settings) if tuned else (self.state, [c.tracker for c in self.cameras])
 
         def apply() -> TrackerAdapter:
             if mapped:
@@ -247,7 +247,7 @@ class BallAdapter(TrackerAdapter):
 
         return apply
 
-    def _tuned(self, settings: Configuration) -> tuple[TrackState | None, list[Tracker | None]]:
+    def _with_settings(self, settings: Configuration) -> tuple[TrackState | None, list[Tracker | None]]:
         """Return the state and the trackers of the cameras with other settings."""
         check_cameras([camera.rig for camera in self.cameras], settings)
         state, trackers = self.state, list[Tracker | None]()

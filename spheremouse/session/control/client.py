@@ -71,7 +71,7 @@ class Client:
     @property
     def is_trusted(self) -> bool:
         """True if the server runs as this user or as root, by the kernel's credentials."""
-        peer = peer_of(self._connected())
+        peer = peer_of(self._connect())
         return peer is not None and peer.uid in (0, os.geteuid())
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ class Client:
         line = json.dumps(message).encode() + b"\n"
         if len(line) > MAX_LINE:
             raise RefusedError(f"a request of {len(line)} bytes; at most {MAX_LINE} are allowed")
-        connection = self._connected()
+        connection = self._connect()
         try:
             connection.settimeout(timeout)
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # its last line may give the reason
@@ -170,7 +170,7 @@ class Client:
 
     def _receive(self, timeout: float) -> dict[str, Any]:
         """Return the next message before the timeout; a file descriptor beside it becomes the shared memory."""
-        connection, deadline = self._connected(), time.monotonic() + timeout
+        connection, deadline = self._connect(), time.monotonic() + timeout
         try:
             while (end := self._received.find(b"\n")) < 0:
                 connection.settimeout(max(deadline - time.monotonic(), 1e-3))  # one deadline for the whole line
@@ -185,7 +185,7 @@ class Client:
                     raise ValueError
             line = bytes(self._received[:end])
             del self._received[: end + 1]
-            message = _parsed(line)
+            message = _parse(line)
             if not isinstance(message, dict):
                 raise ValueError
         except TimeoutError:
@@ -204,7 +204,7 @@ class Client:
             os.close(self._memory)
         self._memory = None
 
-    def _connected(self) -> socket.socket:
+    def _connect(self) -> socket.socket:
         """Return the open connection, or make one. Raise an error with the remedy."""
         if self._socket is not None:
             return self._socket
@@ -233,7 +233,7 @@ class Client:
 
     def _permission_hint(self) -> str:
         """Return the remedy for a user who has no access to the socket."""
-        import grp  # not on Windows, which gets no further than `_connected`
+        import grp  # not on Windows, which gets no further than `_connect`
 
         try:
             status = self._path.stat()
@@ -244,7 +244,7 @@ class Client:
         return "use sudo, or run this as the daemon's user"
 
 
-def _parsed(line: bytes) -> Any:
+def _parse(line: bytes) -> Any:
     """Return the data of a line. Most lines are samples, which orjson reads in a tenth of the time of `plain_json`.
 
     `plain_json` reads a sample that orjson refuses, or that could be nested deeper than any of ours.

@@ -57,14 +57,14 @@ def mask(image: Image, annotations: dict[str, Any]) -> Image:
     height, width, channels = image.shape
     outline = tuple(map(tuple, annotations.get("outline") or ()))
     squares = tuple(map(_square, annotations.get("targets") or ()))
-    seen = _seen(outline, squares, height, width, channels)
+    seen = _visibility_mask(outline, squares, height, width, channels)
     black = image if image.flags.writeable else np.empty_like(image)
     np.multiply(image.reshape(height, -1), seen, out=black.reshape(height, -1))
     return black
 
 
 @lru_cache(maxsize=1)  # outline and targets change with the camera's pose alone
-def _seen(outline: _Outline, squares: tuple[_Square, ...], height: int, width: int, channels: int) -> Image:
+def _visibility_mask(outline: _Outline, squares: tuple[_Square, ...], height: int, width: int, channels: int) -> Image:
     """Return 1 for the values of an image inside the outline or a square, else 0, (height, width * channels)."""
     seen = np.zeros((height, width), bool)
     if len(outline) > 2:

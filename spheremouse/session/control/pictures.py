@@ -141,7 +141,7 @@ class PictureReader:
             if self._numbers[at // 8 + 1] != number:
                 continue
             self._order()
-            copied = self._copied(at)
+            copied = self._copy(at)
             self._order()
             if copied is not None and self._numbers[at // 8] == number:
                 stamp, kind, width, height, pixels, annotations = copied
@@ -154,7 +154,7 @@ class PictureReader:
         self._numbers.release()
         self._map.close()
 
-    def _copied(self, at: int) -> tuple[float, int, int, int, bytes, bytes] | None:
+    def _copy(self, at: int) -> tuple[float, int, int, int, bytes, bytes] | None:
         """Return the contents of a slot, which may be inconsistent; None if a length is impossible."""
         stamp, kind, width, height, pixels, annotations, _ = _FIELDS.unpack_from(self._map, at + _FIELDS_AT)
         if pixels + annotations > self.slot_bytes:

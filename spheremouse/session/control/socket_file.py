@@ -191,7 +191,7 @@ def _lock(path: Path) -> Iterator[None]:
         peer = None
         with contextlib.suppress(OSError):  # it may not listen yet, or not any more
             peer = _listener_at(path)
-        raise _taken(path, peer) from None
+        raise _in_use_error(path, peer) from None
     finally:
         os.close(descriptor)
 
@@ -210,7 +210,7 @@ def _remove_stale(path: Path) -> None:
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise ControlError(f"{path}: is no socket; move it away or set control.socket to another path")
-        raise _taken(path, _listener_at(path))
+        raise _in_use_error(path, _listener_at(path))
     except FileNotFoundError:
         return
     except ConnectionRefusedError:
@@ -229,7 +229,7 @@ def _listener_at(path: Path) -> Peer | None:
         return peer_of(probe)
 
 
-def _taken(path: Path, peer: Peer | None) -> ControlError:
+def _in_use_error(path: Path, peer: Peer | None) -> ControlError:
     """Return the error of a path on which another daemon listens."""
     process = "" if peer is None else f" (process {peer.pid})"
     return ControlError(

@@ -80,11 +80,11 @@ def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
             {**disc, "gate": gate}
             for disc, gate in zip(_ellipses(expected.centre[expected.whole], shape), gates, strict=True)
         ],
-        "masked": _points(_masked(state)),
+        "masked": _points(_masked_places(state)),
     }
 
 
-def _masked(state: TrackState) -> Array:
+def _masked_places(state: TrackState) -> Array:
     """Return the detections set aside as look-alikes, (k, 2) px."""
     offset = state.detections.centre[:, None] - state.lookalikes.masks[None]
     near = np.linalg.norm(offset, axis=2) < MASK_RADIUS_PX

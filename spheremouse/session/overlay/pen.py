@@ -67,7 +67,7 @@ class Pen:
             freshness = 1.0 - age / EPOCHS
             radius = (0.9 + 1.9 * freshness) * self.width
             level = round(255 * (1.0 if age == 0 else 0.15 + 0.6 * freshness))
-            for p in self._fixed(points):
+            for p in self._to_fixed_point(points):
                 x, y = int(p[0]), int(p[1])
                 cv2.circle(alpha, (x, y), round(radius * 2**_FRACTIONAL_BITS), level, -1, cv2.LINE_AA, _FRACTIONAL_BITS)
         rows, columns = np.nonzero(alpha)
@@ -114,7 +114,7 @@ class Pen:
         """Draw a line, (n, 2) px."""
         cv2.polylines(
             self._canvas,
-            [self._fixed(points)],
+            [self._to_fixed_point(points)],
             isClosed=closed,
             color=colour,
             thickness=width,
@@ -122,7 +122,7 @@ class Pen:
             shift=_FRACTIONAL_BITS,
         )
 
-    def _fixed(self, points: Array) -> NDArray[np.int32]:
+    def _to_fixed_point(self, points: Array) -> NDArray[np.int32]:
         """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""
         at = (np.asarray(points, dtype=float) + 0.5) * self._scale - 0.5
         return np.rint(np.clip(at, -1e5, 1e5) * 2**_FRACTIONAL_BITS).astype(np.int32)

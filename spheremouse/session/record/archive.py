@@ -133,7 +133,7 @@ class Archive:
             if self._ending is not None:
                 self._ending.answer(reply)
 
-        self._workers.do(RECORDING, lambda: self._tried(write, answered))
+        self._workers.do(RECORDING, lambda: self._run_and_answer(write, answered))
 
     def _answer_begun(self) -> None:
         begun, self._begun = self._begun, None
@@ -186,9 +186,9 @@ class Archive:
             self._log(f"snapshot: {path}")
             return {"file": str(path)}
 
-        self._workers.do(SNAPSHOT, lambda: self._tried(write, pending.answer))
+        self._workers.do(SNAPSHOT, lambda: self._run_and_answer(write, pending.answer))
 
-    def _tried(
+    def _run_and_answer(
         self, work: Callable[[], dict[str, Any]], answer: Callable[[dict[str, Any]], None]
     ) -> Callable[[], None]:
         """Do the work, in a thread of the pool, and return the call that answers. An error is answered too."""
