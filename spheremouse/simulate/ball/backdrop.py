@@ -57,7 +57,7 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     rows, columns = (np.minimum(np.arange(0, n, _TILE_PX)[:, None] + np.arange(_TILE_PX), n - 1) for n in (h, w))
     every = (rows[:, None, :, None] * w + columns[None, :, None, :]).reshape(-1, _TILE_PX**2)
     for tiles in _parts(every, 64):
-        ids[tiles], depth = _seen(view, xy[tiles])
+        ids[tiles], depth = _intersect(view, xy[tiles])
         outline[tiles] = alone.cast(xy[tiles])[0] == 0
         flat = tiles.ravel()
         white[flat], black[flat] = _colours(scene, view, xy[flat], ids[flat], depth.ravel())
@@ -65,10 +65,10 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
     for part in _parts(edge, 2000):
         fine = xy[part, None] + pixel_parts(_RAYS_ACROSS_PIXEL) @ dxy_duv[part].transpose(0, 2, 1)
-        fine_ids, depth = _seen(view, fine)
+        fine_ids, depth = _intersect(view, fine)
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
         shown[part] = (fine_ids == 0).mean(axis=1)
-        white[part], black[part] = _mixed(scene, view, fine, fine_ids, depth)
+        white[part], black[part] = _mix(scene, view, fine, fine_ids, depth)
     return Backdrop(*(x.reshape(h, w, *x.shape[1:]).astype(np.float32) for x in (white, black, shown, outline)))
 
 
@@ -77,7 +77,7 @@ def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
     return np.array_split(index, max(1, len(index) // size))
 
 
-def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
+def _intersect(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
     """Return the shapes that bundles of rays hit, and z in cam, (m, k) m.
 
     The shapes, (m, k), are shape * _IDS_PER_SHAPE + stripe, or < 0.
@@ -91,7 +91,7 @@ def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
     return ids, depth
 
 
-def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
+def _mix(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
     """Return the grey values of n pixels, (n, 3), with a white and with a black ball, from k rays each, (n, k).
 
     Each shape has one colour in a pixel: the colour at the mean of its visible points.

@@ -32,7 +32,7 @@ class Pattern:
     _albedo: Albedo = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_albedo", _painted(self.name, np.random.default_rng([self.seed, 3])))
+        object.__setattr__(self, "_albedo", _albedo_of(self.name, np.random.default_rng([self.seed, 3])))
 
     def albedo(self, directions: NDArray[np.floating]) -> Single:
         """Return the albedo, (n,) in 0..1, in `directions`, (n, 3) unit vectors in `ball`."""
@@ -136,7 +136,7 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
     return u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-def _painted(name: PatternName, rng: np.random.Generator) -> Albedo:
+def _albedo_of(name: PatternName, rng: np.random.Generator) -> Albedo:
     """Return the albedo of a pattern as a function of directions, (n, 3)."""
     if name == "patches":
         field, steepness = _waves(rng, 12.0, 90.0, 1.4)

@@ -201,7 +201,7 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
 
 def rest(seconds: float = 60.0) -> Gestures:
     """The ball is shown from all sides for 8 s, then lies still for `seconds`."""
-    shown = _shown()
+    shown = _initial_turns()
     return Gestures(tuple(shown), _end(shown) + seconds)
 
 
@@ -210,7 +210,7 @@ def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
 
     The turn by `rate` (rad/s) times `seconds` takes 1 s more than `seconds`.
     """
-    shown = _shown()
+    shown = _initial_turns()
     slow = stroke(_end(shown) + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
     return Gestures((*shown, slow), slow.start + slow.length + 2.0)
 
@@ -220,7 +220,7 @@ def flick(rate: float = np.radians(400.0), stop: float = 0.05) -> Gestures:
 
     A hand starts each flick in 0.12 s, stops it within `stop` s and flicks the ball straight back.
     """
-    gestures = _shown()
+    gestures = _initial_turns()
     t = _end(gestures) + 0.5
     for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.3, -1.0)):
         for sign in (1.0, -1.0):
@@ -244,7 +244,7 @@ def _unit(axis: Sequence[float] | Array) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _shown() -> list[Gesture]:
+def _initial_turns() -> list[Gesture]:
     """After a rest of 1 s the ball makes a turn about X and one about Y: every disc has been seen, and has moved."""
     return [Gesture(1.0, 3.5, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3), Gesture(4.5, 3.5, (0.0, 1.0, 0.0), 2.0 * np.pi, 0.3)]
 

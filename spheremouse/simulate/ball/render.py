@@ -178,7 +178,7 @@ class Renderer:
                 part += hand.paint[..., :3]
             if factor is not None:
                 picture *= factor[:, None, None]
-            image = _developed(picture, options.noise, options.brightness, rng)
+            image = _expose(picture, options.noise, options.brightness, rng)
         return np.asarray(cv2.LUT(image, _LIMITED), dtype=np.uint8) if options.limited else image
 
     def _light(self, t: float) -> NDArray[np.float32] | None:
@@ -215,7 +215,7 @@ def _place(centre: Array, backdrop: Backdrop, surface: Surface) -> _Place:
     return _Place(centre, backdrop, surface, surface.points(backdrop.ball) if surface.scene.pattern else None)
 
 
-def _developed(
+def _expose(
     picture: NDArray[np.float32], noise: float, brightness: float, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """With noise and brightness, in bytes."""

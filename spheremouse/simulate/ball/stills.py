@@ -266,10 +266,10 @@ def photos(stills: Stills) -> Iterator[Photo]:
     rng = np.random.default_rng([stills.seed, 4])
     for k, pose in enumerate(stills.device_poses):
         picture = device_picture(replace(stills.scene, pose=pose))
-        yield Photo(f"device/device_{k}", _exposed(picture, stills.noise, rng), pose)
+        yield Photo(f"device/device_{k}", _expose(picture, stills.noise, rng), pose)
     for k, pose in enumerate(stills.board_poses):
         picture = render_board(stills.board, stills.scene, pose)
-        yield Photo(f"board/chess_{k:02d}", _exposed(picture, stills.noise, rng), pose)
+        yield Photo(f"board/chess_{k:02d}", _expose(picture, stills.noise, rng), pose)
 
 
 def device_picture(scene: Scene) -> NDArray[np.float32]:
@@ -320,7 +320,7 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
     )
 
 
-def _exposed(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _expose(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Through the lens' blur, with noise, in bytes."""
     blurred = np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
     if noise > 0.0:

@@ -77,9 +77,9 @@ class WandRenderer:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 11])
         self._still = background(scene.camera, scene.outdoors, scene.clutter, rng)
-        self._bytes = _exposed(_blurred(self._still))
+        self._bytes = _expose(_blur(self._still))
         self._brightness = float(np.mean(scene.light.above + 0.5 * scene.light.power.sum(axis=0)))
-        self._paints = [_varied(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
+        self._paints = [_vary(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
         self._hand = linear_hand(draw_hand())
         self._noise: NDArray[np.int16] | None = None
         if scene.noise > 0.0:
@@ -96,7 +96,7 @@ class WandRenderer:
             for layer in layers:
                 lay(part, layer, (around[1].start, around[0].start))
             inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(window, around, strict=True))
-            image[window] = _exposed(_blurred(part)[inner])
+            image[window] = _expose(_blur(part)[inner])
         if self._noise is None:
             return image
         # one field of noise at another place in each frame: independent, at a fraction of the time
@@ -155,7 +155,7 @@ def _window(layers: list[Layer], camera: InteriorOrientation, margin: int) -> tu
     return slice(y0, y1), slice(x0, x1)
 
 
-def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
+def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:
     """Return varied paints, the same for each colour of a ball."""
     if share == 0.0:
         return paints
@@ -164,11 +164,11 @@ def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
     return np.clip(kinds * factors, 0.0, 0.95)[which.ravel()]
 
 
-def _blurred(light: NDArray[np.float32]) -> NDArray[np.float32]:
+def _blur(light: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
 
 
-def _exposed(light: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _expose(light: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Grey values of light."""
     index = np.minimum(light * np.float32(4096.0), np.float32(16383.0)).astype(np.uint16)
     return np.rint(_TONES[index]).astype(np.uint8)
