@@ -92,7 +92,7 @@ class Listener:
     """Reads a mouse, as a context manager. Raises SourceError if it cannot be opened."""
 
     def __init__(self, mouse: Mouse, grab: bool = False) -> None:
-        self._mouse, self._device = mouse, _opened(mouse)
+        self._mouse, self._device = mouse, _open(mouse)
         try:
             _on_monotonic_clock(self._device, mouse)
             if grab:
@@ -140,7 +140,7 @@ class Listener:
                 return None
 
 
-def _opened(mouse: Mouse) -> Any:
+def _open(mouse: Mouse) -> Any:
     """Open a mouse's event device. Raise SourceError with the remedy."""
     try:
         import evdev

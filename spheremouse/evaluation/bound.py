@@ -154,18 +154,18 @@ def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, r
     attitude, rate = np.empty((len(motion), 3, 3)), np.empty((len(motion), 3, 3))
     for k in range(len(motion)):
         if k:
-            P = _predicted(P, motion, k, model)
+            P = _predict(P, motion, k, model)
         discs, sigma = sights[k].disc, sights[k].sigma
         by_attitude, by_disc = _jacobians(motion.attitude[k], directions[discs], basis[discs], rig, pose)
         known = index[discs] >= 0
-        P = _measured(P, by_attitude[known], by_disc[known], index[discs[known]], sigma[known])
+        P = _update(P, by_attitude[known], by_disc[known], index[discs[known]], sigma[known])
         index[discs[~known]] = len(P) + 2 * np.arange(np.count_nonzero(~known))
-        P = _augmented(P, by_attitude[~known], by_disc[~known], sigma[~known])
+        P = _augment(P, by_attitude[~known], by_disc[~known], sigma[~known])
         attitude[k], rate[k] = P[:3, :3], P[3:6, 3:6]
     return Bound(attitude, rate)
 
 
-def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
+def _predict(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
     """Return the covariance predicted for frame k >= 1, F P F^T + Q, from that of the frame before."""
     dt = motion.stamp[k] - motion.stamp[k - 1]
     turn = log(motion.attitude[k] @ motion.attitude[k - 1].T)
@@ -193,7 +193,7 @@ def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) 
     return -duv @ hat(arm), rig.ball.radius * duv @ R @ basis
 
 
-def _measured(P: Array, by_attitude: Array, by_disc: Array, index: NDArray[np.intp], sigma: Array) -> Array:
+def _update(P: Array, by_attitude: Array, by_disc: Array, index: NDArray[np.intp], sigma: Array) -> Array:
     """Return the covariance after k discs of the state were measured, with `sigma` (k,) px per axis.
 
     `by_attitude` and `by_disc` are from `_jacobians`; `index` (k,) is that of a disc's coordinates in the state.
@@ -209,7 +209,7 @@ def _measured(P: Array, by_attitude: Array, by_disc: Array, index: NDArray[np.in
     return 0.5 * (P + P.T)
 
 
-def _augmented(P: Array, by_attitude: Array, by_disc: Array, sigma: Array) -> Array:
+def _augment(P: Array, by_attitude: Array, by_disc: Array, sigma: Array) -> Array:
     """Return the covariance with k discs added that are seen for the first time, with `sigma` (k,) px per axis.
 
     Their places follow from the attitude and the measurement. The Jacobians are from `_jacobians`.

@@ -40,7 +40,7 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
     whole = truth.state == VISIBLE
     relevant = whole & (truth.area >= MIN_AREA)
     given = np.isin(truth.frame, run.frame)
-    found, offset = _found(run, truth, relevant)
+    found, offset = _detected_rows(run, truth, relevant)
     large = offset[truth.area[found] >= 60.0]
     points = false = 0
     for frame, used in zip(run.frame, run.used, strict=True):
@@ -55,12 +55,12 @@ def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = Non
         "recall_15": _ratio(
             np.count_nonzero(truth.area[found] >= 15.0), np.count_nonzero(relevant & given & (truth.area >= 15.0))
         ),
-        "recall_axis": _ratio(len(_found(run, truth, long)[0]), np.count_nonzero(long & given)),
+        "recall_axis": _ratio(len(_detected_rows(run, truth, long)[0]), np.count_nonzero(long & given)),
         "centre_rms_60_px": number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
 
 
-def _found(run: Run, truth: DiscTruth, relevant: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+def _detected_rows(run: Run, truth: DiscTruth, relevant: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
     """Return the rows of `truth` among the `relevant` ones, (k,), with a detection, (n,), and its offset, (n, 2) px."""
     rows, offsets = [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
     for frame, detected in zip(run.frame, run.detected, strict=True):

@@ -73,25 +73,25 @@ def path_notes(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _shown(value: float | None, form: str = ".3g") -> str:
+def _format(value: float | None, form: str = ".3g") -> str:
     return "–" if value is None else format(value, form)
 
 
 def _each(part: dict[str, float | None] | None, *names: str, form: str = ".3g") -> str:
     """Return the values of some `names`, or of x, y and z, each formatted by `form`, or a dash for None."""
-    return "–" if part is None else "  ".join(_shown(part[name], form) for name in names or "xyz")
+    return "–" if part is None else "  ".join(_format(part[name], form) for name in names or "xyz")
 
 
-def _combined(part: dict[str, float | None], form: str = ".3g") -> str:
+def _format_part(part: dict[str, float | None], form: str = ".3g") -> str:
     """Return the value "combined" of `part`, then those of its axes in brackets; a dash if it is None."""
     if part["combined"] is None:
         return "–"
-    return f"{_shown(part['combined'], form)} ({' '.join(_shown(part[a], form) for a in 'xyz' if a in part)})"
+    return f"{_format(part['combined'], form)} ({' '.join(_format(part[a], form) for a in 'xyz' if a in part)})"
 
 
 def _list(result: dict[str, Any], name: str) -> str:
     values = result["pose_error"]
-    return "–" if values is None else f"({' '.join(_shown(v, '.2g') for v in values[name])})"
+    return "–" if values is None else f"({' '.join(_format(v, '.2g') for v in values[name])})"
 
 
 def _percent(part: dict[str, float | None] | None, name: str) -> str:
@@ -102,16 +102,16 @@ def _percent(part: dict[str, float | None] | None, name: str) -> str:
 _ROWS: Rows = (
     ("frames tracked / all", lambda r: f"{r['tracked']} / {r['frames']}"),
     ("times lost", lambda r: str(r["lost_episodes"])),
-    ("attitude RMSE, °", lambda r: _combined(r["attitude_rmse_deg"])),
-    ("rate RMSE, °/s", lambda r: _combined(r["rate_rmse_deg_s"])),
-    ("surface speed RMSE, mm/s", lambda r: _combined(r["surface_speed_rmse_mm_s"])),
-    ("surface speed, Pearson's r", lambda r: _combined(r["surface_speed_r"], ".4f")),
+    ("attitude RMSE, °", lambda r: _format_part(r["attitude_rmse_deg"])),
+    ("rate RMSE, °/s", lambda r: _format_part(r["rate_rmse_deg_s"])),
+    ("surface speed RMSE, mm/s", lambda r: _format_part(r["surface_speed_rmse_mm_s"])),
+    ("surface speed, Pearson's r", lambda r: _format_part(r["surface_speed_r"], ".4f")),
     ("rotation scale about x y z", lambda r: _each(r["rotation_scale"], form=".5f")),
     ("  half its 95 % interval", lambda r: _each(r["rotation_scale_ci95"], form=".5f")),
     ("drift about x y z, °/min", lambda r: _each(r["drift_deg_min"], form=".2f")),
     ("  half its 95 % interval, °/min", lambda r: _each(r["drift_deg_min_ci95"], form=".2f")),
-    ("points used per frame", lambda r: _shown(r["mean_discs"])),
-    ("recognised in the map from frame", lambda r: _shown(r["identified_from_frame"], "d")),
+    ("points used per frame", lambda r: _format(r["mean_discs"])),
+    ("recognised in the map from frame", lambda r: _format(r["identified_from_frame"], "d")),
     (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r["detection"], "recall")),
     (f"  of semi-minor axis ≥ {MIN_AXIS:g} px, %", lambda r: _percent(r["detection"], "recall_axis")),
     ("points used that are no disc, %", lambda r: _percent(r["detection"], "false_share")),
@@ -121,19 +121,19 @@ _ROWS: Rows = (
     ("camera rotation error, °", lambda r: _list(r, "angle_deg")),
     ("  its standard deviation, °", lambda r: _list(r, "sigma_angle_deg")),
     ("NEES of attitude, rate (3 is right)", lambda r: _each(r["nees"], "attitude", "rate")),
-    ("NIS per degree of freedom (1 is right)", lambda r: _shown(r["nis"])),
-    ("rate, RMS second difference, °/s", lambda r: _shown(r["rate_roughness_deg_s"])),
+    ("NIS per degree of freedom (1 is right)", lambda r: _format(r["nis"])),
+    ("rate, RMS second difference, °/s", lambda r: _format(r["rate_roughness_deg_s"])),
     ("RMSE / bound: attitude, rate", lambda r: _each(r["bound_ratio"], "attitude", "rate")),
     ("time per frame: median, p99, max, µs", lambda r: _each(r["frame_us"], "median", "p99", "max", form=".0f")),
     (
         "median per stage, µs",
-        lambda r: "  ".join(f"{stage} {_shown(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
+        lambda r: "  ".join(f"{stage} {_format(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
     ),
 )
 _WAND_ROWS: Rows = (
     ("frames tracked / all", lambda r: f"{r['tracked']:g} / {r['frames']}"),
-    ("runs that lost the ball / all", lambda r: f"{_shown(r['lost_runs'], 'd')} / {r['runs']}"),
-    ("right from frame, in all runs", lambda r: _shown(r["found_from_frame"], "d")),
+    ("runs that lost the ball / all", lambda r: f"{_format(r['lost_runs'], 'd')} / {r['runs']}"),
+    ("right from frame, in all runs", lambda r: _format(r["found_from_frame"], "d")),
     ("position RMSE x y z, mm", lambda r: _each(r["position_rmse_mm"])),
     ("  95th percentile, mm", lambda r: _each(r["position_p95_mm"])),
     ("  largest, mm", lambda r: _each(r["position_max_mm"])),
@@ -142,7 +142,7 @@ _WAND_ROWS: Rows = (
         lambda r: _each(r, "rotation_rmse_deg", "rotation_p95_deg", "rotation_max_deg"),
     ),
     ("ANEES of position, rotation, pose (1 is right)", lambda r: _each(r["anees"], "position", "rotation", "pose")),
-    ("poses within their 95 % region, %", lambda r: _shown(r["within_95"] and 100.0 * r["within_95"])),
-    ("frames per second", lambda r: _shown(r["fps"], ".0f")),
+    ("poses within their 95 % region, %", lambda r: _format(r["within_95"] and 100.0 * r["within_95"])),
+    ("frames per second", lambda r: _format(r["fps"], ".0f")),
     ("time per frame: median, p99, max, µs", lambda r: _each(r["frame_us"], "median", "p99", "max", form=".0f")),
 )

@@ -301,19 +301,19 @@ def settings_of(match: Match, radius: float | None, current: MotionSettings) -> 
     if abs(x - y) <= 2.0 * float(np.hypot(*axes.sigma)):
         x = y = float(np.average([x, y], weights=axes.sigma**-2.0))
     unit = 1.0 if radius is None else 1000.0 * radius  # mm/rad
-    scale = _rounded(float(np.sqrt(x * y)) / unit)
+    scale = _round(float(np.sqrt(x * y)) / unit)
     return replace(
         current,
         player=axes.player,
         counts_per_mm=current.counts_per_mm if radius is None else scale,
         counts_per_radian=scale if radius is None else None,
-        scale_x=1.0 if x == y else _rounded(x / (unit * scale)),
-        scale_y=1.0 if x == y else _rounded(y / (unit * scale)),
-        scale_z=_rounded(current.scale_z * current.scale(radius) / (unit * scale)),
+        scale_x=1.0 if x == y else _round(x / (unit * scale)),
+        scale_y=1.0 if x == y else _round(y / (unit * scale)),
+        scale_z=_round(current.scale_z * current.scale(radius) / (unit * scale)),
         invert_x=False,
         invert_y=axes.mirrored,
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     return float(f"{value:.5g}")

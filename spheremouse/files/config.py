@@ -56,9 +56,9 @@ def loads(document: Document, root: type[S]) -> S:
         what = f"is this a configuration? It has no keys {', '.join(map(str, strange))}"
         raise document.error([Problem((strange[0],), f"{what}; name a rig file in a configuration, by `rig:`")])
     if _PROFILES not in document.data or _PROFILES not in names:
-        return _applied(document, root())
+        return _apply(document, root())
     data = {key: value for key, value in document.data.items() if key != _PROFILES}
-    settings = _applied(dataclasses.replace(document, data=data), root())
+    settings = _apply(dataclasses.replace(document, data=data), root())
     return dataclasses.replace(typing.cast(Any, settings), profiles=_profiles(document, settings))
 
 
@@ -139,7 +139,7 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     data: Any = value
     for part in reversed(parts):
         data = {part: data}
-    return _applied(Document(label, data), settings)
+    return _apply(Document(label, data), settings)
 
 
 def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
@@ -150,7 +150,7 @@ def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
     lines = ["# Configuration of spheremouse. Settings that are left out keep their defaults."]
     if keys is not None:
         lines.append("# `spheremouse config init --all FILE` writes the settings for experts too.")
-    return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", *_commented(settings, (), keys)]) + "\n"
+    return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", *_commented_lines(settings, (), keys)]) + "\n"
 
 
 def dump(settings: S, default: S) -> str:
@@ -201,7 +201,7 @@ def _kind(hint: Any) -> str:
 
 
 def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses.Field[Any], Any, Any]]":
-    for field in _ordered(type(settings)):
+    for field in _ordered_fields(type(settings)):
         key, value = (*prefix, field.name), getattr(settings, field.name)
         if _is_section(type(settings), field):
             yield from _fields(value, key)
@@ -213,7 +213,7 @@ def _fields(settings: Any, prefix: Key = ()) -> "Iterator[tuple[Key, dataclasses
 def model_of(cls: type) -> type[BaseModel]:
     """Return the pydantic model of a settings dataclass. It converts only int to float and rejects unknown keys."""
     fields: dict[str, Any] = {}
-    for field in _ordered(cls):
+    for field in _ordered_fields(cls):
         section, about = _is_section(cls, field), field.metadata
         annotation = _annotation(_hints(cls)[field.name], about.get("bounds", {}), about.get("most"))
         read = BeforeValidator(functools.partial(_without_short_form, about, section))
@@ -234,13 +234,13 @@ def to_yaml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return value if _is_plain_word(value) else _quoted(value)
+        return value if _is_plain_word(value) else _quote(value)
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"
     return repr(value)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """Return text in single quotes, or in double quotes with escapes if it has control characters."""
     if text.isprintable():
         return "'" + text.replace("'", "''") + "'"
@@ -276,9 +276,9 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
     raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None and tuples")
 
 
-def _applied(document: Document, settings: S) -> S:
+def _apply(document: Document, settings: S) -> S:
     """Return the settings with the values of a checked document."""
-    return _updated(settings, validated(document, model_of(type(settings))), document, ())
+    return _update(settings, validated(document, model_of(type(settings))), document, ())
 
 
 def _without_short_form(about: Mapping[str, Any], section: bool, value: Any) -> Any:
@@ -291,13 +291,13 @@ def _without_short_form(about: Mapping[str, Any], section: bool, value: Any) -> 
     return value
 
 
-def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
+def _update(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
     """Return `settings` with the values of the document; an error of `__post_init__` gets file and line."""
     changes: dict[str, Any] = {}
     for name in checked.model_fields_set:
         value = getattr(checked, name)
         section = isinstance(value, BaseModel)
-        changes[name] = _updated(getattr(settings, name), value, document, (*key, name)) if section else value
+        changes[name] = _update(getattr(settings, name), value, document, (*key, name)) if section else value
     try:
         return dataclasses.replace(typing.cast(Any, settings), **changes)
     except ValueError as e:
@@ -309,7 +309,7 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 
 
 @functools.cache
-def _ordered(cls: type) -> tuple["dataclasses.Field[Any]", ...]:
+def _ordered_fields(cls: type) -> tuple["dataclasses.Field[Any]", ...]:
     """Return the fields of a settings class in the order of a YAML file: settings first, then sections.
 
     A field that is neither a section nor made by `settings.param` is a constant of the code and left out.
@@ -335,11 +335,11 @@ def _assignment(field: "dataclasses.Field[Any]", value: Any) -> str:
     return f"{unset}{field.name}: {to_yaml(value)}"
 
 
-def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iterator[str]:
+def _commented_lines(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iterator[str]:
     """Yield the lines of a configuration file: each setting below its description, sections indented."""
     hints, indent = _hints(type(settings)), "  " * len(prefix)
     first = bool(prefix)
-    for field in _ordered(type(settings)):
+    for field in _ordered_fields(type(settings)):
         value, key = getattr(settings, field.name), dotted((*prefix, field.name))
         section = _is_section(type(settings), field)
         if keys is not None and not any(k == key or (section and k.startswith(f"{key}.")) for k in keys):
@@ -350,7 +350,7 @@ def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iter
         if section:
             yield from _comment_lines(_summary(type(value)), indent)
             yield f"{indent}{field.name}:"
-            yield from _commented(value, (*prefix, field.name), keys)
+            yield from _commented_lines(value, (*prefix, field.name), keys)
             continue
         yield from _comment_lines(_about(field, hints[field.name]), indent)
         yield f"{indent}{_assignment(field, value)}"

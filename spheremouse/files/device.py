@@ -114,9 +114,9 @@ def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Probl
 def _size_problems(file: DeviceFile) -> Iterator[Problem]:
     radii = file.target_radii
     if max(radii) > _LARGEST_PART:
-        yield Problem(("target_radii",), f"are {_listed(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")
+        yield Problem(("target_radii",), f"are {_format_list(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")
     elif not radii[0] < radii[1] < radii[2]:
-        text = f"are {_listed(radii)}; they must grow: inner disc, middle ring, outer ring, each from the centre"
+        text = f"are {_format_list(radii)}; they must grow: inner disc, middle ring, outer ring, each from the centre"
         yield Problem(("target_radii",), text)
     if file.disc_radius > _LARGEST_PART:
         text = f"is {file.disc_radius:g} m; give {_in_metres([file.disc_radius], _LARGEST_PART)}"
@@ -128,7 +128,7 @@ def _axes_problems(axes: _Axes, ids: Sequence[int]) -> Iterator[Problem]:
     for name in ("origin", "up", "plane"):
         id_ = getattr(axes, name)
         if id_ not in ids:
-            yield Problem(("axes", name), f"{id_} is no target; there are {_listed(ids)}")
+            yield Problem(("axes", name), f"{id_} is no target; there are {_format_list(ids)}")
         elif id_ in named:
             yield Problem(("axes", name), f"{id_} is named for another axis already; name three different targets")
         named.append(id_)
@@ -137,7 +137,7 @@ def _axes_problems(axes: _Axes, ids: Sequence[int]) -> Iterator[Problem]:
 def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: float) -> Iterator[Problem]:
     for name, id_ in (("from", d.start), ("to", d.end)):
         if ids is not None and id_ not in ids:
-            yield Problem(("distances", i, name), f"{id_} is no target; there are {_listed(ids)}")
+            yield Problem(("distances", i, name), f"{id_} is no target; there are {_format_list(ids)}")
     if d.start == d.end:
         yield Problem(("distances", i, "to"), f"target {d.end} to itself; name the other target")
     key = ("distances", i, "metres")
@@ -154,12 +154,12 @@ def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: fl
 def _in_metres(values: Sequence[float], limit: float) -> str:
     """Return `metres: 0.075 if that was mm, 0.75 if cm`, for the units in which the values make sense."""
     meant = [
-        f"{_listed([v * factor for v in values])} if that was {unit}"
+        f"{_format_list([v * factor for v in values])} if that was {unit}"
         for unit, factor in (("mm", 1e-3), ("cm", 1e-2))
         if max(values) * factor <= limit
     ]
     return "metres" + (": " if meant else "") + ", or ".join(meant)
 
 
-def _listed(values: Sequence[float]) -> str:
+def _format_list(values: Sequence[float]) -> str:
     return ", ".join(f"{v:g}" for v in values)

@@ -77,7 +77,7 @@ def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]
 
 def landmark_lines(disc_map: DiscMap) -> list[str]:
     """Return the lines of the discs and of their correlations."""
-    sigma, root = _factored(disc_map.covariance)
+    sigma, root = _factor(disc_map.covariance)
     lines = ["discs:"]
     for direction, s, sightings in zip(disc_map.directions, sigma.reshape(-1, 2), disc_map.sightings, strict=True):
         x, y, z = direction
@@ -99,7 +99,7 @@ def _weights_line(projection: Projection) -> list[str]:
     return [f"weights: [{blue:.6f}, {green:.6f}, {red:.6f}]  # of blue, green and red: so the discs are darker"]
 
 
-def _factored(covariance: Array) -> tuple[Array, Array]:
+def _factor(covariance: Array) -> tuple[Array, Array]:
     """Return standard deviations, (n,), and the lower triangular root, (n, n), of the correlations, with unit rows."""
     sigma = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(correlation(covariance))  # Cholesky fails for a disc with zero covariance

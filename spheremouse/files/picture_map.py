@@ -36,7 +36,7 @@ class PictureMapFile(LandmarksFile):
 
 def lines(header: list[str], made: PictureMap) -> list[str]:
     """Return the lines of a file."""
-    data = b"".join(_packed(picture) for picture in (made.fine, made.coarse))
+    data = b"".join(_pack(picture) for picture in (made.fine, made.coarse))
     block = base64.b64encode(zlib.compress(data)).decode()
     return [
         "# The pattern of one ball, as tracked. Written by spheremouse and read at the next start; without it a new",
@@ -55,7 +55,7 @@ def lines(header: list[str], made: PictureMap) -> list[str]:
 def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap]:
     """Return the content of a file and its map. Raise ConfigurationError with all problems."""
     file = validated(without_schema(document, "map"), PictureMapFile)
-    problems, pictures = [*landmark_problems(file)], _unpacked(block, file.cells)
+    problems, pictures = [*landmark_problems(file)], _unpack(block, file.cells)
     if pictures is None:
         problems.append(Problem((), "picture: is damaged, or has another number of cells"))
     if problems or pictures is None:
@@ -63,7 +63,7 @@ def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap
     return file, PictureMap(*pictures, landmarks(file), file.noise, file.correlation, file.details)
 
 
-def _packed(picture: Picture) -> bytes:
+def _pack(picture: Picture) -> bytes:
     """Return a picture as bytes that compress well: values by high and low bytes, then weights."""
     known = picture.weight > 0.5 * _WEIGHT
     value = np.where(known, np.clip(np.rint(picture.value / _VALUE), -32768, 32767), 0).astype("<i2")
@@ -71,7 +71,7 @@ def _packed(picture: Picture) -> bytes:
     return value.reshape(-1).view(np.uint8).reshape(-1, 2).T.tobytes() + weight.tobytes()
 
 
-def _unpacked(block: bytes, cells: tuple[int, int]) -> tuple[Picture, Picture] | None:
+def _unpack(block: bytes, cells: tuple[int, int]) -> tuple[Picture, Picture] | None:
     """Return the fine and the coarse picture; None if the block is damaged."""
     size = [6 * n * n for n in cells]
     try:

@@ -31,7 +31,7 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
         return importlib.import_module(f"{package.__name__}.{kind}"), argument
     plugged = {entry.name: entry for entry in entry_points(group=f"spheremouse.{what}")}
     if kind in plugged:
-        return _loaded(plugged[kind], what, error), argument
+        return _load(plugged[kind], what, error), argument
     known = (*package.KINDS, *sorted(plugged))
     form = "" if ":" in spec else f"{what}s are written KIND:ARGUMENT; "
     raise error(f"unknown {what} {spec!r}; {form}{nearest(kind, known)}")
@@ -101,13 +101,13 @@ class _PlugIn:
         self._plugin, self._blame = plugin, blame
         for name in dir(type(plugin)):  # methods as attributes: from Python 3.12 on, protocols look for no others
             if not name.startswith("_") and callable(getattr(type(plugin), name)):
-                setattr(self, name, self._guarded(getattr(plugin, name)))
+                setattr(self, name, self._with_named_errors(getattr(plugin, name)))
 
     def __getattr__(self, name: str) -> Any:
         member = getattr(self._plugin, name)
-        return self._guarded(member) if callable(member) else member
+        return self._with_named_errors(member) if callable(member) else member
 
-    def _guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def _with_named_errors(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a plug-in's function whose errors name the plug-in."""
 
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -141,7 +141,7 @@ def _full(package: ModuleType, spec: str) -> str:
     return package.full_spec(spec) if hasattr(package, "full_spec") else spec
 
 
-def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
+def _load(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
     """Return the module of a plug-in. Raise `error` if it cannot be loaded or has no function `open`.
 
     `what` is the kind of plug-in in the message, for example "output".

@@ -69,12 +69,12 @@ class FicTrac:
         increment, attitude = estimate.increment.tolist()[:3], _rotation_vector(estimate.rotation)
         variance = sum(estimate.increment_covariance.diagonal().tolist()[:3])
         R_cam, R_lab = self._rotation_to_camera(sample), self._R_lab[sample.coordinates]
-        lab = _rotated(R_lab, increment)
+        lab = _rotate(R_lab, increment)
         forward, side = lab[1], -lab[0]
         self._integrate(forward, side, -lab[2])
         capture = sample.stamp if sample.wall is None else sample.wall
-        values = [sample.sequence + 1, *_rotated(R_cam, increment), sqrt(max(0.0, variance)), *lab]
-        values += [*_rotated(R_cam, attitude), *_rotated(R_lab, attitude)]
+        values = [sample.sequence + 1, *_rotate(R_cam, increment), sqrt(max(0.0, variance)), *lab]
+        values += [*_rotate(R_cam, attitude), *_rotate(R_lab, attitude)]
         values += [self._x, self._y, self._heading, atan2(side, forward) % (2 * pi), hypot(forward, side)]
         values += [self._forward, self._side, 1e3 * capture, sample.sequence - self._first + 1]
         values += [1e3 * (sample.stamp - self._last)]
@@ -114,7 +114,7 @@ def _rotation_vector(R: Array) -> list[float]:
     return [scale * x, scale * y, scale * z]
 
 
-def _rotated(R: list[list[float]], vector: list[float]) -> list[float]:
+def _rotate(R: list[list[float]], vector: list[float]) -> list[float]:
     """Return R v; a product of arrays takes ten times as long if it is not in the processor's cache."""
     x, y, z = vector
     return [a * x + b * y + c * z for a, b, c in R]

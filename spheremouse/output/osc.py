@@ -39,7 +39,7 @@ def encode(sample: Sample, counts: Counts) -> bytes:
     """
     estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
-    vectors: list[Sequence[float]] = [counts if max(map(abs, counts)) <= _MAX_COUNT else _clipped(counts)]
+    vectors: list[Sequence[float]] = [counts if max(map(abs, counts)) <= _MAX_COUNT else _clip(counts)]
     if estimate.status is Status.TRACKING:
         variances = map(max, estimate.covariance.diagonal()[:3].tolist(), _ZEROS)
         vectors += [to_quaternion(estimate.rotation), estimate.rate[:3].tolist(), list(map(sqrt, variances))]
@@ -54,7 +54,7 @@ def encode(sample: Sample, counts: Counts) -> bytes:
     return form.pack(*values)
 
 
-def _clipped(counts: Counts) -> list[int]:
+def _clip(counts: Counts) -> list[int]:
     return [max(-_MAX_COUNT, min(_MAX_COUNT, n)) for n in counts]
 
 

@@ -38,7 +38,7 @@ def whole_notches(counts: int) -> tuple[int, int]:
 def left_out(spec: str) -> OutputError | None:
     """Return problem and hint of an output `KIND:ARGUMENT` that omits the spin; None for others and plug-ins."""
     kind, _, argument = spec.partition(":")
-    if kind not in VALUES or _given(argument) != NONE:
+    if kind not in VALUES or _third_option(argument) != NONE:
         return None
     values = " or ".join(f"third={value}" for value in VALUES[kind])
     problem = "the third axis (the ball's spin) is not sent"
@@ -48,10 +48,10 @@ def left_out(spec: str) -> OutputError | None:
 def sent_as(spec: str) -> str:
     """Return the axis that carries the spin of an output `KIND:ARGUMENT`, in words; empty if there is none."""
     kind, _, argument = spec.partition(":")
-    return _AXIS_NAMES.get(_given(argument), "") if kind in VALUES else ""
+    return _AXIS_NAMES.get(_third_option(argument), "") if kind in VALUES else ""
 
 
-def _given(argument: str) -> str:
+def _third_option(argument: str) -> str:
     """Return the value of the option `third` in an output's argument."""
     pairs = (part.partition("=") for part in argument.split(","))
     return next((value.strip() for key, _, value in pairs if key.strip() == "third"), NONE)

@@ -81,7 +81,7 @@ class DaemonLink:
         if socket != self.socket:
             self.socket = socket
             self._undo.clear()
-            self._ended(ControlError("connecting to the daemon"))
+            self._publish_trouble(ControlError("connecting to the daemon"))
 
     def hello(self) -> Message:
         """Return settings, profiles, scene and log for a browser."""
@@ -156,7 +156,7 @@ class DaemonLink:
         self._described_for = []  # another client may change them back before a status shows this change
         self.publish(self.values())
 
-    def _ended(self, trouble: ControlError) -> None:
+    def _publish_trouble(self, trouble: ControlError) -> None:
         self.status, self.trouble = None, trouble
         self.publish(self.state())
 
@@ -207,7 +207,7 @@ class DaemonLink:
                             time.sleep(_SAMPLE_POLL_S)
             except ControlError as e:
                 if socket is self.socket:
-                    self._post(self._ended, e)
+                    self._post(self._publish_trouble, e)
                     time.sleep(_RECONNECT_INTERVAL_S)
 
     def _store(self, sample: Message) -> None:

@@ -33,7 +33,7 @@ class Recordings:
 
         Raises ControlError if a folder cannot be read.
         """
-        found = await asyncio.to_thread(self._found)
+        found = await asyncio.to_thread(self._find)
         recordings = [each._asdict() | {"path": None, "name": name} for name, each in found.items()]
         return {"recordings": recordings, "folders": [str(folder) for folder in self._folders()]}
 
@@ -134,12 +134,12 @@ class Recordings:
         given = (self._daemon.status or {}).get("recordings")
         return [*([] if given is None else [Path(given)]), Path.cwd()]
 
-    def _found(self) -> dict[str, Listed]:
+    def _find(self) -> dict[str, Listed]:
         return {each.path.name: each for each in list_recordings(self._folders())}
 
     async def _recording(self, name: str) -> Listed:
         """Return the recording of a name in the list. No other path is opened."""
-        found = (await asyncio.to_thread(self._found)).get(name)
+        found = (await asyncio.to_thread(self._find)).get(name)
         if found is None or found.problem:
             raise ControlError(f"{printable(name)}: {found.problem if found else 'there is no such recording'}")
         return found

@@ -49,7 +49,7 @@ class Layout:
 def luma(payload: Image, layout: Layout) -> Image:
     """Return luma (h, w) of the bytes (n,), a view except for MJPG. Raises DamagedFrameError if it is incomplete."""
     if layout.format == "MJPG":
-        return _decoded(payload, layout, "GRAY")[:, :, 0]
+        return _decode(payload, layout, "GRAY")[:, :, 0]
     _check_size(payload, layout)
     step = 2 if layout.format == "YUYV" else 1
     return np.ndarray((layout.height, layout.width), np.uint8, payload, 0, (layout.stride, step))
@@ -58,7 +58,7 @@ def luma(payload: Image, layout: Layout) -> Image:
 def bgr(payload: Image, layout: Layout) -> Image:
     """Return a BGR copy (h, w, 3) of the bytes (n,). GREY gives three equal channels."""
     if layout.format == "MJPG":
-        return _decoded(payload, layout, "BGR")
+        return _decode(payload, layout, "BGR")
     _check_size(payload, layout)
     h, w, stride = layout.height, layout.width, layout.stride
     if layout.format == "YUYV":
@@ -98,7 +98,7 @@ def _check_size(payload: Image, layout: Layout) -> None:
         raise DamagedFrameError(f"frame of {len(payload)} bytes; {layout.size} are a whole one")
 
 
-def _decoded(payload: Image, layout: Layout, space: str) -> Image:
+def _decode(payload: Image, layout: Layout, space: str) -> Image:
     """Decode a JPEG of the negotiated size to (h, w, 1 or 3). Bytes after its end are ignored."""
     if payload[:3].tobytes() != _JPEG:
         raise DamagedFrameError(f"frame of {len(payload)} bytes that does not begin as a JPEG")

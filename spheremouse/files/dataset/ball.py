@@ -96,7 +96,7 @@ def open_frames(path: Path) -> RecordedBall:
     scene = read_description(path, _read_scene)
     if table.exists():
         times = _read_motion(table, MOTION_COLUMNS[:2], scene.frames)["t"]
-    return RecordedBall(**_known(path, scene, times))
+    return RecordedBall(**_recording_fields(path, scene, times))
 
 
 def open_dataset(path: Path | str) -> Recording:
@@ -109,7 +109,7 @@ def open_dataset(path: Path | str) -> Recording:
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
     return Recording(
-        **_known(path, scene, None if truth is None else truth.stamp),
+        **_recording_fields(path, scene, None if truth is None else truth.stamp),
         pose=_pose(f"{path / 'scene.json'}: ", "truth_T_obj_cam", scene.truth_T_obj_cam),
         truth=truth,
         discs=discs,
@@ -118,7 +118,7 @@ def open_dataset(path: Path | str) -> Recording:
     )
 
 
-def _known(path: Path, scene: _Scene, truth_times: Array | None) -> dict[str, Any]:
+def _recording_fields(path: Path, scene: _Scene, truth_times: Array | None) -> dict[str, Any]:
     """Return the fields of `RecordedBall`."""
     stamps = read_stamps(path, scene.frames)
     rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)

@@ -144,19 +144,19 @@ def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None) -> Adjust
     """
     x = np.array(x0, dtype=float)
     if robust is None:
-        x = _weighted(evaluate, x, weight=None)
+        x = _solve_weighted(evaluate, x, weight=None)
         return Adjusted(x, *evaluate(x))
     found, weight = Adjusted(x, *evaluate(x)), np.zeros(0)
     for _ in range(_MAX_REWEIGHTINGS):
         before, weight = weight, huber(found.residual, robust)
         if len(before) and np.max(np.abs(weight - before)) < 1e-3:
             break
-        x = _weighted(evaluate, found.x, weight)
+        x = _solve_weighted(evaluate, found.x, weight)
         found = Adjusted(x, *evaluate(x))
     return found
 
 
-def _weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
+def _solve_weighted(evaluate: Evaluate, x: Array, weight: Array | None) -> Array:
     """Return the minimum of the squared residuals times `weight`, (n,)."""
 
     def linearise(x: Array) -> tuple[float, Callable[[], Normal]]:
@@ -200,7 +200,7 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
     scaled = jacobian @ sparse.diags_array(1.0 / scale)
     normal = sparse.csc_array(scaled.T @ scaled)
     # The matrix is definite, so it needs no pivoting for size, and a small pivot shows an undetermined unknown.
-    factor = _factored(normal)
+    factor = _factor(normal)
     pivot = np.abs(factor.U.diagonal())
     if pivot.min() < _MIN_PIVOT:
         raise np.linalg.LinAlgError(int(np.argsort(factor.perm_c)[int(np.argmin(pivot))]))
@@ -210,7 +210,7 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
     return 0.5 * (Q + Q.T) / np.outer(scale[columns], scale[columns])
 
 
-def _factored(normal: Any) -> Any:
+def _factor(normal: Any) -> Any:
     """Return the LU decomposition; of an exactly singular matrix that of a slightly regularised one."""
     options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     try:

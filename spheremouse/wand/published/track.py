@@ -56,7 +56,7 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     `position` (n, 3) m and `rotation` (n, 3, 3) R_cam_ball are the poses.
     """
     inner = (model.points.colour >= 0) & (model.points.table[:, 6] > 0.0)
-    facing, u, v = _seen(position, rotation, model, inner)
+    facing, u, v = _facing_and_pixel(position, rotation, model, inner)
     x, y = (u - fields.left + 0.5) / fields.factor - 0.5, (v - fields.top + 0.5) / fields.factor - 0.5
     _, h, w = fields.weight.shape
     inside = (facing > 0.0) & (x >= 0.0) & (y >= 0.0) & (x < w - 1) & (y < h - 1)
@@ -70,7 +70,9 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     return _mean_of_visible(np.log(np.maximum(m, _MIN_FACTOR)), facing > 0.0, np.log(_MIN_FACTOR), m)
 
 
-def _seen(position: Array, rotation: Array, model: Model, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _facing_and_pixel(
+    position: Array, rotation: Array, model: Model, chosen: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
     """Return the cosine of the viewing angle and the pixel of the chosen points, (n, p) each; -1 behind the camera."""
     normal = np.einsum("nij,pj->npi", rotation, model.points.table[chosen, :3])
     x = position[:, None] + model.radius * normal
