@@ -34,19 +34,20 @@ class PictureMapFile(LandmarksFile):
     cells: tuple[Cells, Cells] = Field(description="cells along a face of the fine and of the coarse picture")
 
 
-def lines(header: list[str], made: PictureMap) -> list[str]:
+def lines(header: list[str], picture_map: PictureMap) -> list[str]:
     """Return the lines of a file."""
-    data = b"".join(_pack(picture) for picture in (made.fine, made.coarse))
+    fine, coarse = picture_map.fine, picture_map.coarse
+    data = b"".join(_pack(picture) for picture in (fine, coarse))
     block = base64.b64encode(zlib.compress(data)).decode()
     return [
         "# The pattern of one ball, as tracked. Written by spheremouse and read at the next start; without it a new",
         "# one is made as the ball turns. The cells are on the faces of a cube.",
         *header,
-        f"noise: {float(made.noise)!r}  # standard deviation of a contrast in one view",
-        f"correlation: {float(made.correlation)!r}  # usual one of a frame with the picture",
-        f"details: {float(made.details)!r}  # usual part of a frame that shows one",
-        f"cells: [{made.fine.value.shape[1]}, {made.coarse.value.shape[1]}]  # along a face, fine and coarse",
-        *landmark_lines(made.parts),
+        f"noise: {float(picture_map.noise)!r}  # standard deviation of a contrast in one view",
+        f"correlation: {float(picture_map.correlation)!r}  # usual one of a frame with the picture",
+        f"details: {float(picture_map.details)!r}  # usual part of a frame that shows one",
+        f"cells: [{fine.value.shape[1]}, {coarse.value.shape[1]}]  # along a face, fine and coarse",
+        *landmark_lines(picture_map.parts),
         "picture: |",
         *(f"  {block[k : k + _MAX_LINE_CHARACTERS]}" for k in range(0, len(block), _MAX_LINE_CHARACTERS)),
     ]

@@ -115,20 +115,20 @@ def _check_chunks(data: bytes) -> None:
         raise _RefusedError(errno.EINVAL, "cut short or damaged; copy it from the camera again, or leave it out")
 
 
-def _too_large(what: str, pixels: int) -> OSError:
-    return _RefusedError(errno.EFBIG, f"is {what}; scale it to at most {pixels // 1_000_000} megapixels")
+def _too_large(name: str, pixels: int) -> OSError:
+    return _RefusedError(errno.EFBIG, f"is {name}; scale it to at most {pixels // 1_000_000} megapixels")
 
 
 # ---- films ----
 
 
-def open_capture(what: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCapture | None:
+def open_capture(source: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCapture | None:
     """Open a capture, or return None. OpenCV and FFmpeg print nothing."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; FFmpeg reads it at its first use
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(0)
     try:
-        capture = cv2.VideoCapture(what, backend)
+        capture = cv2.VideoCapture(source, backend)
     except cv2.error:
         return None
     finally:

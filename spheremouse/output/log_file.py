@@ -64,11 +64,11 @@ def drop_unfinished_line(path: Path, descriptor: int) -> None:
         os.ftruncate(descriptor, start + kept)
 
 
-def probe_file(path: Path, what: str) -> list[Finding]:
-    """Return whether this account may write the file; `what` names its content, such as "table"."""
+def probe_file(path: Path, output: str) -> list[Finding]:
+    """Return whether this account may write the file; `output` names its content, such as "table"."""
     if not path.parent.is_dir():
         missing = wrong if path.parent != STATE_FOLDER else absent
         return [missing("output", f"{path.parent}: no such folder", "make it, or name another")]
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
         return [wrong("output", f"{path} may not be written", "name a file elsewhere")]
-    return [ok("output", f"{what} to {path}")]
+    return [ok("output", f"{output} to {path}")]

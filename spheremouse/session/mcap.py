@@ -72,16 +72,16 @@ class McapWriter:
         """Write log lines with the time of the next frame."""
         self._lines += text.splitlines()
 
-    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+    def show(self, result: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Write a frame. Raise OSError if it cannot be written."""
-        self._time = round(1e9 * min(max(float(made.frame.stamp), 0.0), _MAX_SECONDS))
+        self._time = round(1e9 * min(max(float(result.frame.stamp), 0.0), _MAX_SECONDS))
         self._write_log()
-        scene, pointing = adapter.scene(), made.samples[made.pointing]
+        scene, pointing = adapter.scene(), result.samples[result.pointing]
         self._write_camera(scene["camera"], adapter.camera, pointing.coordinates == "obj")
-        image = made.frame.image
+        image = result.frame.image
         data = encoded(image if image.ndim == 3 else image[:, :, None])
         self._write("CompressedImage", "/camera/image", frame_id="cam", data=data, format="jpeg")
-        annotations = image_annotations(adapter.annotations(made), self._stamp())
+        annotations = image_annotations(adapter.annotations(result), self._stamp())
         self._channel("ImageAnnotations", "/camera/annotations").log(annotations, log_time=self._time)
         for sample, counts in report.counted:
             self._write_sample(sample, counts)

@@ -101,7 +101,7 @@ class View(Protocol):
         """Print one or more lines, which stay."""
         ...
 
-    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+    def show(self, result: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Show a tracked frame of an adapter, and its report."""
         ...
 
@@ -111,13 +111,13 @@ def results(frames: Iterable[Frame], adapter: TrackerAdapter) -> Iterator[FrameR
     return (made for frame in frames if (made := adapter.follow(frame)) is not None)
 
 
-def smoothed(tracked: Iterable[FrameResult], adapter: TrackerAdapter, settings: So3Settings) -> list[FrameResult]:
+def smoothed(result: Iterable[FrameResult], adapter: TrackerAdapter, settings: So3Settings) -> list[FrameResult]:
     """Return the results with estimates given all frames, and without images.
 
     The adapter must be of tracker so3. Raise ConfigurationError if it gives no observations.
     """
     kept, samples = list[FrameResult](), list[Sample]()
-    for made in tracked:
+    for made in result:
         samples.append(replace(made.samples[0], observation=adapter.observation(made)))
         frame = replace(made.frame, image=np.zeros((0, 0), np.uint8))
         kept.append(replace(made, frame=frame, epoch=replace(made.epoch, frame=frame)))
@@ -157,14 +157,14 @@ def opened(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Outp
     return outputs
 
 
-def follow(tracked: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:
+def follow(result: Iterable[FrameResult], adapter: TrackerAdapter, outputs: dict[str, Output], view: View) -> None:
     """Send a report of each tracked frame of a recording to all `outputs`, and display the frame in `view`.
 
     `view` also logs changes, with the frame's stamp. An output that fails or whose reader is gone is logged and left
     out. The error of the last one ends the run.
     """
     working = {spec: (output, OutputCounter(response_of(spec))) for spec, output in outputs.items()}
-    for made in tracked:
+    for made in result:
         report = report_of(made.samples, adapter.mapping, made.pointing)
         _send(report, working, view)
         change, more = adapter.take_messages()

@@ -42,8 +42,8 @@ class PictureFeed:
             self._interval, self._until = min(self._interval, interval), now + LEASE
             return self._ring
 
-    def show(self, now: float, raw: RawFrame, adapter: TrackerAdapter, made: FrameResult | None) -> None:
-        """Write a frame that is not yet released, if a picture is due; `made` is None if it was not tracked."""
+    def show(self, now: float, raw: RawFrame, adapter: TrackerAdapter, result: FrameResult | None) -> None:
+        """Write a frame that is not yet released, if a picture is due; `result` is None if it was not tracked."""
         if self._ring is None or now < self._due:
             return
         interval = self._interval
@@ -51,7 +51,7 @@ class PictureFeed:
         time.sleep(_OUTPUTS_FIRST)
         try:
             image = raw.payload()
-            marks = adapter.annotations(made)
+            marks = adapter.annotations(result)
             self._number += 1
             self._write(
                 LivePicture(self._number, raw.stamp, image.format, image.width, image.height, image.data, marks)

@@ -87,17 +87,17 @@ class StatusLine:
         else:
             self._live.console.print(text, soft_wrap=True)
 
-    def show(self, made: FrameResult, tally: Tally) -> None:
+    def show(self, result: FrameResult, tally: Tally) -> None:
         """Show the state of the balls after a frame, if the last line is old enough."""
         now = time.perf_counter()
         if not self._wanted or now < self._due:
             return
         if self._live is not None:
             self._due = now + _REFRESH_INTERVAL_S
-            self._live.update(status_lines(made, tally), refresh=True)
+            self._live.update(status_lines(result, tally), refresh=True)
         else:
             self._due = now + _LINE_EVERY
-            self.log(status_lines(made, tally))
+            self.log(status_lines(result, tally))
 
 
 def _renewed_line() -> "Live":
@@ -108,10 +108,10 @@ def _renewed_line() -> "Live":
     return Live(console=console, auto_refresh=False)
 
 
-def status_lines(made: FrameResult, tally: Tally) -> str:
+def status_lines(result: FrameResult, tally: Tally) -> str:
     """Return the state of each ball in one line."""
     counts, median = "counts {:+d} {:+d} {:+d}".format(*tally.counts), 1e3 * tally.times.recent_quantile(0.5)
-    return "\n".join(f"{s.stamp:9.3f} s  {_state_words(s, counts)}  {median:.1f} ms" for s in made.samples)
+    return "\n".join(f"{s.stamp:9.3f} s  {_state_words(s, counts)}  {median:.1f} ms" for s in result.samples)
 
 
 def _state_words(sample: Sample, counts: str) -> str:

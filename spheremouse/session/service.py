@@ -236,7 +236,7 @@ class Daemon:
             self._worker.forget()
             arrival.raw.release()
 
-    def _publish(self, made: FrameResult, taken: float, *, shown: bool) -> None:
+    def _publish(self, result: FrameResult, taken: float, *, shown: bool) -> None:
         """Pass the result of a frame on, to the outputs first. Those that may block have threads of their own.
 
         `taken` is the frame's mid-exposure, s of time.monotonic. The latency of the samples ends here; that of the
@@ -244,15 +244,15 @@ class Daemon:
         """
         latency = time.monotonic() - taken
         wall = time.time() - latency
-        samples = tuple(replace(sample, wall=wall, latency=latency) for sample in made.samples)
-        report = report_of(samples, self.adapter.mapping, made.pointing)
+        samples = tuple(replace(sample, wall=wall, latency=latency) for sample in result.samples)
+        report = report_of(samples, self.adapter.mapping, result.pointing)
         # `_work` has just updated a state that is not TRACKING. An output that fails later counts its frames as unsent.
         wanted = self._monitor.state is not State.FAILED_OUTPUT
         self._outputs.submit(report, taken, wanted=wanted)
         # Archive and view get the image, too, whose buffer is released after this.
         if shown:
-            self._archive.keep(made, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
-        self._show(made, report, self.adapter)
+            self._archive.keep(result, self.adapter, lambda: minus(self._outputs.counts, self.unsent))
+        self._show(result, report, self.adapter)
         if self._server is not None:
             self._server.submit(report)
         if self._limit is not None and self._worker.frames >= self._limit:

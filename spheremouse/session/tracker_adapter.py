@@ -121,7 +121,7 @@ class TrackerAdapter(Protocol):
         """Track a frame. Return None if it was not tracked. Raise SourceError if it cannot be used."""
         ...
 
-    def observation(self, tracked: FrameResult) -> Observation | None:
+    def observation(self, result: FrameResult) -> Observation | None:
         """Return the information of the last frame for the smoother; None if there is no smoother for this tracker."""
         return None
 
@@ -163,11 +163,11 @@ class TrackerAdapter(Protocol):
         """Return camera, ball, discs and targets in 3-D as plain data (docs/control.md), from any thread."""
         ...
 
-    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
+    def annotations(self, result: FrameResult | None) -> dict[str, Any]:
         """Return the marks on the last frame as plain data (docs/control.md); None: it was not tracked."""
         ...
 
-    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
+    def picture(self, result: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         """Return a function that draws the overlay with the sum of counts, for another thread.
 
         It is black except for the part that `subject` keeps, unless `everything`. The image is copied.

@@ -87,14 +87,14 @@ class Worker:
             name: (times.recent_quantile(0.5), times.recent_quantile(0.99)) for name, times in self.times.items()
         }
 
-    def _count(self, made: FrameResult, before: Status, waited: dict[str, float]) -> None:
+    def _count(self, result: FrameResult, before: Status, waited: dict[str, float]) -> None:
         """Count a frame, a loss of the ball, and the time of each stage."""
         self.frames += 1
-        self.frames_of[made.frame.camera] += 1
+        self.frames_of[result.frame.camera] += 1
         if self.adapter.status is Status.LOST and before is not Status.LOST:
             self.lost += 1
         now = time.monotonic()
-        for name, seconds in (*waited.items(), *made.seconds.items()):
+        for name, seconds in (*waited.items(), *result.seconds.items()):
             self.times[name].add(seconds, now)
 
     def _too_many_faults(self, now: float) -> bool:

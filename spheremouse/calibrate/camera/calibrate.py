@@ -186,21 +186,22 @@ def _length(metres: float) -> str:
     return f"{metres:.3g} m" if metres >= 1.0 else f"{1e3 * metres:.3g} mm"
 
 
-def provenance(done: CameraCalibration) -> dict[str, Any]:
+def provenance(calibration: CameraCalibration) -> dict[str, Any]:
     """Return the provenance for the camera file: board, residual, photos with their hashes."""
-    pattern = done.pattern
+    pattern = calibration.pattern
     more: dict[str, Any] = {"board": _words(pattern), "square": pattern.square}
     if pattern.marker is not None:
         more |= {"marker": pattern.marker, "dictionary": pattern.dictionary}
-    more["rms_px"] = round(done.found.rms, 4)
-    return photos.provenance("calibrate camera", done.photos, done.skipped | inconsistent_views(done), more)
+    more["rms_px"] = round(calibration.found.rms, 4)
+    skipped = calibration.skipped | inconsistent_views(calibration)
+    return photos.provenance("calibrate camera", calibration.photos, skipped, more)
 
 
-def inconsistent_views(done: CameraCalibration) -> dict[int, str]:
+def inconsistent_views(calibration: CameraCalibration) -> dict[int, str]:
     """Return the photos with a board that does not fit the camera of the others, with the residuals."""
-    rms = done.found.view_rms()
+    rms = calibration.found.view_rms()
     return {
-        i: f"does not fit the others ({rms[k]:.2f} px, they {done.found.rms:.2f}): another zoom, focus or board?"
-        for k, i in enumerate(done.index)
-        if not done.found.used[k]
+        i: f"does not fit the others ({rms[k]:.2f} px, they {calibration.found.rms:.2f}): another zoom, focus or board?"
+        for k, i in enumerate(calibration.index)
+        if not calibration.found.used[k]
     }

@@ -187,9 +187,9 @@ def next_command(folder: Path) -> str:
     return calibrate_command("next", *_unless_default(folder))
 
 
-def photos_command(folder: Path, what: Literal["camera", "device"], more: Sequence[str] = ()) -> str:
+def photos_command(folder: Path, kind: Literal["camera", "device"], more: Sequence[str] = ()) -> str:
     """Return the command that takes photos into the folder."""
-    return calibrate_command("photos", *_unless_default(folder), "--for", what, *more)
+    return calibrate_command("photos", *_unless_default(folder), "--for", kind, *more)
 
 
 def camera_command(folder: Path, board: Sequence[str] = (), *, again: bool = False) -> str:

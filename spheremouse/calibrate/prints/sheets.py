@@ -127,12 +127,12 @@ def _ticks(x: float, y: float, inner: float, outer: float, width: float) -> "Art
     return lines(np.array(arms) + np.array([x, y, x, y]), width, BLACK)
 
 
-def _grid(sheet: Paper, cell: float, what: str) -> list[tuple[float, float]]:
+def _grid(sheet: Paper, cell: float, part: str) -> list[tuple[float, float]]:
     """Centres of square cells, from the top left: one cut parts two of them."""
     left, bottom, right, top = sheet.room
     columns, rows = floor((right - left) / cell + 1e-9), floor((top - bottom) / cell + 1e-9)
     if columns < 1 or rows < 1:
-        raise CalibrationError(f"{what} does not fit on {sheet.name}; take a smaller one {_LARGER}")
+        raise CalibrationError(f"{part} does not fit on {sheet.name}; take a smaller one {_LARGER}")
     first = (left + right - (columns - 1) * cell) / 2.0
     return [(first + i * cell, top - (j + 0.5) * cell) for j in range(rows) for i in range(columns)]
 

@@ -31,20 +31,20 @@ _THUMBNAIL_WIDTH = 300  # px
 # ---- advice ----
 
 
-def advise(done: CameraCalibration) -> list[tuple[str, str]]:
+def advise(calibration: CameraCalibration) -> list[tuple[str, str]]:
     """Return ("good" | "note" | "warning", sentence), warnings first."""
-    found = [*_view_advice(done), *_value_advice(done)]
+    found = [*_view_advice(calibration), *_value_advice(calibration)]
     if not any(kind == "warning" for kind, _ in found):
         found.append(("good", "The camera is well determined."))
     return sorted(found, key=lambda item: ("warning", "good", "note").index(item[0]))
 
 
-def _view_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
-    covered = done.coverage
-    for i, why in inconsistent_views(done).items():
-        yield "warning", f"{done.photos[i].path.name} {why} It was left out."
-    if done.skipped:
-        names = ", ".join(done.photos[i].path.name for i in done.skipped)
+def _view_advice(calibration: CameraCalibration) -> Iterator[tuple[str, str]]:
+    covered = calibration.coverage
+    for i, why in inconsistent_views(calibration).items():
+        yield "warning", f"{calibration.photos[i].path.name} {why} It was left out."
+    if calibration.skipped:
+        names = ", ".join(calibration.photos[i].path.name for i in calibration.skipped)
         yield "note", f"Left out, because the whole board is not found in them: {names}."
     if covered.views < VIEWS:
         yield "warning", f"Only {covered.views} views; {VIEWS} to 20 make a lens reliable."
@@ -61,8 +61,8 @@ def _view_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
         yield "note", text
 
 
-def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
-    found, camera, sigma = done.found, done.found.camera, done.found.deviations
+def _value_advice(calibration: CameraCalibration) -> Iterator[tuple[str, str]]:
+    found, camera, sigma = calibration.found, calibration.found.camera, calibration.found.deviations
     if found.free[:2].all() and sigma[0] / camera.fx > _MAX_FOCAL_ERROR:
         tilt = np.degrees(found.tilts()[found.used])
         text = (
@@ -98,9 +98,9 @@ def _value_advice(done: CameraCalibration) -> Iterator[tuple[str, str]]:
 # ---- JSON and terminal ----
 
 
-def camera_json(done: CameraCalibration) -> dict[str, Any]:
+def camera_json(calibration: CameraCalibration) -> dict[str, Any]:
     """Return the figures in px, m and degrees; `sigma` is of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
-    found, camera = done.found, done.found.camera
+    found, camera = calibration.found, calibration.found.camera
     interior = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
     return {
         "camera": {
@@ -112,78 +112,79 @@ def camera_json(done: CameraCalibration) -> dict[str, Any]:
         "rms_px": found.rms,
         "contradiction": found.contradiction,
         "coverage": {
-            "regions": done.coverage.regions.tolist(),
-            "leans": dict(zip(LEANS, done.coverage.leans.tolist(), strict=True)),
-            "reach": done.coverage.reach,
+            "regions": calibration.coverage.regions.tolist(),
+            "leans": dict(zip(LEANS, calibration.coverage.leans.tolist(), strict=True)),
+            "reach": calibration.coverage.reach,
         },
-        "board_views": _describe_views(done),
-        "advice": [text for _, text in advise(done)],
+        "board_views": _describe_views(calibration),
+        "advice": [text for _, text in advise(calibration)],
     }
 
 
-def _describe_views(done: CameraCalibration) -> list[dict[str, Any]]:
+def _describe_views(calibration: CameraCalibration) -> list[dict[str, Any]]:
     """Return an object for each photo. `why` is the reason against a photo that is not used; None for the others.
 
     A photo without a whole board has the file, the reason and no figures. `distance_m` is from the camera to the
     board's first corner, and `tilt_deg` is between the board's normal and the camera's axis.
     """
-    found, reasons = done.found, inconsistent_views(done)
+    found, reasons = calibration.found, inconsistent_views(calibration)
     rms, position, tilts = found.view_rms(), found.camera_positions(), np.degrees(found.tilts())
     views: dict[int, dict[str, Any]] = {
         i: {
-            "file": done.photos[i].path.name,
+            "file": calibration.photos[i].path.name,
             "rms_px": float(rms[k]),
             "used": bool(found.used[k]),
-            "corners": len(done.views[k].uv),
+            "corners": len(calibration.views[k].uv),
             "false_corners": int((~found.kept[k]).sum()) if found.used[k] else None,
             "tilt_deg": float(tilts[k]),
             "distance_m": float(np.linalg.norm(position[k])),
             "why": reasons.get(i),
         }
-        for k, i in enumerate(done.index)
+        for k, i in enumerate(calibration.index)
     }
-    for i, why in done.skipped.items():
-        views[i] = {"file": done.photos[i].path.name, "rms_px": None, "used": False, "why": why}
+    for i, why in calibration.skipped.items():
+        views[i] = {"file": calibration.photos[i].path.name, "rms_px": None, "used": False, "why": why}
     return [views[i] for i in sorted(views)]
 
 
-def print_camera(done: CameraCalibration, console: "Console") -> None:
+def print_camera(calibration: CameraCalibration, console: "Console") -> None:
     """Print the number of views, the residual and the advice. The page and the JSON have all figures."""
+    found, camera = calibration.found, calibration.found.camera
     console.print(
-        f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
-        f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
+        f"{int(found.used.sum())} views of {len(calibration.photos)} photos, {camera.width}x{camera.height}: "
+        f"reprojection {found.rms:.3f} px RMS"
     )
-    print_advice(console, advise(done))
+    print_advice(console, advise(calibration))
 
 
 # ---- the page ----
 
 
-def write_camera_report(path: Path, done: CameraCalibration, provenance: Mapping[str, Any]) -> None:
+def write_camera_report(path: Path, calibration: CameraCalibration, provenance: Mapping[str, Any]) -> None:
     """Write the page, whole or not at all; ConfigurationError if it cannot be written."""
-    C = correlation(done.found.camera.covariance)
+    C = correlation(calibration.found.camera.covariance)
     strong = sorted((-abs(C[i, j]), i, j) for i in range(9) for j in range(i) if abs(C[i, j]) > _NAMED_CORRELATION)
     names = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in strong)
     content = Content(
         title="Camera calibration",
-        lead=_summary(done),
-        headlines=_headlines(done),
-        advice=advise(done),
-        draw=lambda: _corners_figure(done),
-        caption=f"Residuals of all corners, {_magnification(done):g} times larger. They should point anywhere. A "
-        "common direction in one place is an error of the lens model. The number in a region counts the views with "
+        lead=_summary(calibration),
+        headlines=_headlines(calibration),
+        advice=advise(calibration),
+        draw=lambda: _corners_figure(calibration),
+        caption=f"Residuals of all corners, {_magnification(calibration):g} times larger. They should point anywhere. "
+        "A common direction in one place is an error of the lens model. The number in a region counts the views with "
         "corners there. In a region without any, the lens is not known.",
         values="From the adjustment, with the variances of the corners estimated in each view. Correlated by more than "
         f"{_NAMED_CORRELATION}: {names or 'none'}. Of correlated values only the combination is certain.",
         legend="Blue: corners; red: corners that were not used.",
-        pictures=[_thumbnail(done, k) for k in range(len(done.views))],
+        pictures=[_thumbnail(calibration, k) for k in range(len(calibration.views))],
     )
-    write_report(path, content, camera_json(done), provenance)
+    write_report(path, content, camera_json(calibration), provenance)
 
 
-def _summary(done: CameraCalibration) -> str:
+def _summary(calibration: CameraCalibration) -> str:
     """Return the first paragraph: views, board, distances and picture size."""
-    found, camera, pattern = done.found, done.found.camera, done.pattern
+    found, camera, pattern = calibration.found, calibration.found.camera, calibration.pattern
     kind = "chessboard" if pattern.marker is None else "ChArUco board"
     distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
     return (
@@ -193,9 +194,9 @@ def _summary(done: CameraCalibration) -> str:
     )
 
 
-def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
+def _headlines(calibration: CameraCalibration) -> list[tuple[str, str, str]]:
     """Return the name, value and uncertainty of each main result."""
-    found, camera, sigma = done.found, done.found.camera, done.found.deviations
+    found, camera, sigma = calibration.found, calibration.found.camera, calibration.found.deviations
     return [
         ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),
         ("principal point", f"{camera.cx:.1f}, {camera.cy:.1f}", f"± {sigma[2]:.2f}, {sigma[3]:.2f} px"),
@@ -206,18 +207,18 @@ def _headlines(done: CameraCalibration) -> list[tuple[str, str, str]]:
 # ---- figures ----
 
 
-def _corners_figure(done: CameraCalibration) -> "Figure":
+def _corners_figure(calibration: CameraCalibration) -> "Figure":
     """Residuals of all corners in one picture, in px, and the number of views with corners in each region."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.4, 5.2), layout="constrained")
-    axes, found = figure.subplots(), done.found
+    axes, found = figure.subplots(), calibration.found
     w, h = found.camera.width, found.camera.height
     axes.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal", xlabel="px")
     axes.spines[["top", "right"]].set_visible(True)
-    rows, columns = done.coverage.regions.shape
+    rows, columns = calibration.coverage.regions.shape
     w, h = w / columns, h / rows
-    for (i, j), views in np.ndenumerate(done.coverage.regions):
+    for (i, j), views in np.ndenumerate(calibration.coverage.regions):
         x, y = w * j - 0.5, h * i - 0.5
         axes.plot([x, x + w, x + w], [y + h, y + h, y], color=GRID, lw=0.6)
         if views == 0:
@@ -226,28 +227,28 @@ def _corners_figure(done: CameraCalibration) -> "Figure":
         look = {"ha": "center", "va": "center", "fontsize": 13, "fontweight": "bold", "bbox": box, "zorder": 3}
         axes.annotate(str(views), (x + 0.5 * w, y + 0.5 * h), color=INK if views else RED, **look)
     look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": BLUE, "width": 0.0012, "alpha": 0.85}
-    for view, residual, kept, used in zip(done.views, found.residuals, found.kept, found.used, strict=True):
+    for view, residual, kept, used in zip(calibration.views, found.residuals, found.kept, found.used, strict=True):
         if used:
-            axes.quiver(*view.uv[kept].T, *(_magnification(done) * residual[kept]).T, **look)
+            axes.quiver(*view.uv[kept].T, *(_magnification(calibration) * residual[kept]).T, **look)
     return figure
 
 
-def _magnification(done: CameraCalibration) -> float:
+def _magnification(calibration: CameraCalibration) -> float:
     """A round number that makes the RMS a fortieth of the picture's width."""
-    return round_number(done.found.camera.width / 40.0 / max(done.found.rms, 1e-6))
+    return round_number(calibration.found.camera.width / 40.0 / max(calibration.found.rms, 1e-6))
 
 
-def _thumbnail(done: CameraCalibration, k: int) -> tuple[bytes, str]:
+def _thumbnail(calibration: CameraCalibration, k: int) -> tuple[bytes, str]:
     """Return a JPEG of view k with its corners, blue if used and red if not, and its caption."""
-    photo, used = done.photos[done.index[k]], done.found.used[k]
+    photo, used = calibration.photos[calibration.index[k]], calibration.found.used[k]
     scale = _THUMBNAIL_WIDTH / photo.size[0]
     size = _THUMBNAIL_WIDTH, max(1, round(scale * photo.size[1]))
     small = cv2.resize(image(photo), size, interpolation=cv2.INTER_AREA)
-    kept = done.found.kept[k] if used else np.zeros(len(done.views[k].uv), bool)
-    for (u, v), good in zip(done.views[k].uv, kept, strict=True):
+    kept = calibration.found.kept[k] if used else np.zeros(len(calibration.views[k].uv), bool)
+    for (u, v), good in zip(calibration.views[k].uv, kept, strict=True):
         at = round(16 * ((u + 0.5) * scale - 0.5)), round(16 * ((v + 0.5) * scale - 0.5))
         cv2.circle(small, at, 28, (176, 133, 47) if good else (61, 85, 220), -1, cv2.LINE_AA, 4)
     data = bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 80])[1])
-    tilt, distance = np.degrees(done.found.tilts()[k]), np.linalg.norm(done.found.camera_positions()[k])
-    remark = f"{done.found.view_rms()[k]:.3f} px, {tilt:.0f}° aslant, from {distance:.2f} m"
+    tilt, distance = np.degrees(calibration.found.tilts()[k]), np.linalg.norm(calibration.found.camera_positions()[k])
+    remark = f"{calibration.found.view_rms()[k]:.3f} px, {tilt:.0f}° aslant, from {distance:.2f} m"
     return data, f"{photo.path.name}: {remark}" + ("" if used else ", left out")

@@ -92,10 +92,10 @@ class Dialogue:
         """Lines of the run."""
         print(text, file=sys.stderr, flush=True)
 
-    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+    def show(self, result: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Look at the motion of a frame."""
-        self.tally.add(report.counts, sum(made.seconds.values()))
-        estimate = made.samples[made.pointing].estimate
+        self.tally.add(report.counts, sum(result.seconds.values()))
+        estimate = result.samples[result.pointing].estimate
         if not estimate.confirmed or self.found is not None:
             return
         if not self._begun:

@@ -105,10 +105,10 @@ class _View(RunView):
         self.history = History()
         self.adapter: BallAdapter | None = None
 
-    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
-        super().show(made, report, adapter)
+    def show(self, result: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+        super().show(result, report, adapter)
         assert isinstance(adapter, BallAdapter)
-        self.history.add(made.epoch)
+        self.history.add(result.epoch)
         self.adapter = adapter
 
 

@@ -39,17 +39,17 @@ class RunView:
         """Print one or more lines, which stay."""
         self._screen.log(text)
 
-    def show(self, made: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
+    def show(self, result: FrameResult, report: Report, adapter: TrackerAdapter) -> None:
         """Show the line, and add a frame of the first camera to the overlay."""
-        self.tally.add(report.counts, sum(made.seconds.values()))
+        self.tally.add(report.counts, sum(result.seconds.values()))
         if self._verbose and self.tally.frames == 1 and isinstance(adapter, BallAdapter) and adapter.resection:
             self.log(describe(adapter.resection, adapter.rig))
-        self._screen.show(made, self.tally)
-        if self.overlay is not None and made.frame.camera == 0:
-            self._draw(self.overlay, made, adapter)
+        self._screen.show(result, self.tally)
+        if self.overlay is not None and result.frame.camera == 0:
+            self._draw(self.overlay, result, adapter)
 
-    def _draw(self, overlay: OverlayFile, made: FrameResult, adapter: TrackerAdapter) -> None:
-        marks, sample, image = adapter.annotations(made), made.samples[made.pointing], made.frame.image
+    def _draw(self, overlay: OverlayFile, result: FrameResult, adapter: TrackerAdapter) -> None:
+        marks, sample, image = adapter.annotations(result), result.samples[result.pointing], result.frame.image
         drawing = self._drawing = self._drawing or Overlay(overlay.scale(image.shape[1]))
         drawing.remember(marks)
         overlay.show(lambda: drawing.draw(image, marks, sample, self.tally.counts))

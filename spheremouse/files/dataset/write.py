@@ -75,11 +75,11 @@ def dataset_folder(path: Path | str, scene: Mapping[str, Any], *, replace: bool 
 class TruthWriter:
     """Writes frames of the ball in its frame, with their truth, into a dataset."""
 
-    def __init__(self, made: DatasetFolder, *, centres: bool = False, discs: bool = True) -> None:
+    def __init__(self, dataset: DatasetFolder, *, centres: bool = False, discs: bool = True) -> None:
         """`centres`: write the ball's centre, which moves; `discs`: the ball has some."""
-        self._pictures, self._centres = made.pictures, centres
-        self._truth = made.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if centres else ())))
-        self._discs = made.table("discs.csv", DISC_COLUMNS) if discs else None
+        self._pictures, self._centres = dataset.pictures, centres
+        self._truth = dataset.table("truth.csv", (*TRUTH_COLUMNS, *(CENTRE_COLUMNS if centres else ())))
+        self._discs = dataset.table("discs.csv", DISC_COLUMNS) if discs else None
 
     def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
         """Add a frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).

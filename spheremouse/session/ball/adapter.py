@@ -183,8 +183,8 @@ class BallAdapter(TrackerAdapter):
             return None
         return self._track(frame, camera, camera.tracker)
 
-    def observation(self, tracked: FrameResult) -> Observation | None:
-        tracker, epoch = self.tracker, tracked.epoch
+    def observation(self, result: FrameResult) -> Observation | None:
+        tracker, epoch = self.tracker, result.epoch
         if tracker is None or self.settings.tracker != "so3":
             return None
         state, ambiguous = epoch.state, bool(epoch.state.alternatives)
@@ -319,7 +319,7 @@ class BallAdapter(TrackerAdapter):
             "balls": None,
         }
 
-    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
+    def annotations(self, result: FrameResult | None) -> dict[str, Any]:
         """Return the marks on the last frame as plain data. Before the pose is known, they are the targets found."""
         camera = self._shown
         tracker, state, view = self._tracker_of(camera), self.state, camera.first_pose.view
@@ -328,17 +328,17 @@ class BallAdapter(TrackerAdapter):
             return plain(None, self.status, **found)
         if self._still is None or self._still[0] is not tracker.pose:
             self._still = tracker.pose, of_still(tracker.rig, tracker.pose)
-        if tracked is None or state is None:
+        if result is None or state is None:
             return plain(None, self.status, **self._still[1])
         return plain(
-            tracked.samples[0].sequence, self.status, **self._still[1], **of_discs(state, tracker, self._interval)
+            result.samples[0].sequence, self.status, **self._still[1], **of_discs(state, tracker, self._interval)
         )
 
-    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
+    def picture(self, result: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         tracker = self._tracker_of(self._shown)
         assert tracker is not None
         keep = None if everything else partial(kept, tracker.rig, tracker.pose, self.settings)
-        return picture_of(tracked, self.annotations(tracked), counts, keep)
+        return picture_of(result, self.annotations(result), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
         return partial(sought, frame.image.copy(), self._shown.rig, self.settings, everything=everything)
@@ -386,13 +386,13 @@ class BallAdapter(TrackerAdapter):
             state = with_camera(state, tracker, [each for each in present if each is not None], camera.number)
         return facing(state, camera.number)
 
-    def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
+    def _remember(self, step: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
         if self._estimate is not None:
-            self._interval = made.estimate.stamp - self._estimate.stamp
-        self.state, self.status, self._estimate = made.state, made.state.status, made.estimate
-        self._messages.add(made, frame, tracker, self._names[frame.camera])
+            self._interval = step.estimate.stamp - self._estimate.stamp
+        self.state, self.status, self._estimate = step.state, step.state.status, step.estimate
+        self._messages.add(step, frame, tracker, self._names[frame.camera])
         if self._keeper is not None:
-            self._keeper.keep(Newest(partial(tracker.method.to_map, made.state), made.state.absolute))
+            self._keeper.keep(Newest(partial(tracker.method.to_map, step.state), step.state.absolute))
 
 
 def _discard(_: str) -> None:

@@ -196,10 +196,10 @@ class PosedCamera:
     def _note_detected(self) -> None:
         self.detected = time.monotonic()
 
-    def _note_agreement(self, made: Step[TrackState], stamp: float) -> None:
+    def _note_agreement(self, step: Step[TrackState], stamp: float) -> None:
         """Update the share of the points that are discs of the map."""
-        seen, used = (made.estimate.statistics[name] for name in ("discs_seen", "discs_used"))
-        if seen >= _MIN_POINTS and made.state.status is Status.TRACKING:
+        seen, used = (step.estimate.statistics[name] for name in ("discs_seen", "discs_used"))
+        if seen >= _MIN_POINTS and step.state.status is Status.TRACKING:
             gain = min(max(stamp - self._seen_at, 0.0) / _AGREEMENT_S, 1.0)
             self._agreement += gain * (min(used / seen, 1.0) - self._agreement)
         self._seen_at = stamp

@@ -143,9 +143,9 @@ class BallMessages:
         self._last = ""  # reason for missing discs, in the last frame of the first camera
         self._missing = MissingDiscs(elsewhere)
 
-    def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker, name: str = "") -> None:
+    def add(self, step: Step[TrackState], frame: Frame, tracker: Tracker, name: str = "") -> None:
         """Update the texts from one frame and the tracker's step for it. A `name` precedes events of the camera."""
-        state, events = made.state, made.events
+        state, events = step.state, step.events
         words = tracker.detector.words
         lines = [messages.line(events, words)] if events else []
         if name and any(isinstance(event, OF_CAMERA) for event in events):

@@ -55,10 +55,10 @@ class Overlay:
 
 
 def picture_of(
-    made: FrameResult, marks: Marks, counts: Counts, keep: Callable[[], Image] | None
+    result: FrameResult, marks: Marks, counts: Counts, keep: Callable[[], Image] | None
 ) -> Callable[[], Image]:
     """Return a function that draws a frame with its marks, black where `keep()`, (h, w), is 0. The image is copied."""
-    image, sample = made.frame.image.copy(), made.samples[made.pointing]
+    image, sample = result.frame.image.copy(), result.samples[result.pointing]
 
     def draw() -> Image:
         overlay = Overlay(max(1, round(_PICTURE_WIDTH / image.shape[1])))

@@ -46,14 +46,14 @@ class Archive:
         """True if the next frame is needed in colour: for a snapshot, and for the targets in a recording."""
         return (self._bare and self._active is not None) or self._wanted is not None
 
-    def keep(self, made: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
+    def keep(self, result: FrameResult, adapter: TrackerAdapter, counts: Callable[[], Counts]) -> None:
         """Copy the image of a tracked frame for recording and snapshot; `counts` returns the sum of the sent counts."""
         self.cancel_abandoned()
-        first = made.frame.camera == 0  # a recording is of one camera
-        if self._recorder is not None and first and self._recorder.add(made.frame, adapter.subject):
-            self._bare &= made.frame.image.ndim != 3
+        first = result.frame.camera == 0  # a recording is of one camera
+        if self._recorder is not None and first and self._recorder.add(result.frame, adapter.subject):
+            self._bare &= result.frame.image.ndim != 3
             self._answer_begun()
-        self._take_snapshot(lambda everything: adapter.picture(made, counts(), everything))
+        self._take_snapshot(lambda everything: adapter.picture(result, counts(), everything))
 
     def look(self, frame: Frame, adapter: TrackerAdapter) -> None:
         """Copy the image of a frame that was not tracked for a snapshot."""

@@ -176,16 +176,16 @@ class WandAdapter(TrackerAdapter):
             "balls": [b.name for b in self.tracker.balls],
         }
 
-    def annotations(self, tracked: FrameResult | None) -> dict[str, Any]:
-        if tracked is None:
+    def annotations(self, result: FrameResult | None) -> dict[str, Any]:
+        if result is None:
             return plain(None, self.status)
-        balls = zip(self.tracker.balls, tracked.epoch.poses, strict=True)
+        balls = zip(self.tracker.balls, result.epoch.poses, strict=True)
         marks = of_balls(balls, self.pointing_index, self.tracker.camera)
-        return plain(tracked.samples[0].sequence, self.status, **marks)
+        return plain(result.samples[0].sequence, self.status, **marks)
 
-    def picture(self, tracked: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
-        keep = None if everything else partial(_around_balls, tracked.epoch.poses, self.tracker)
-        return picture_of(tracked, self.annotations(tracked), counts, keep)
+    def picture(self, result: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
+        keep = None if everything else partial(_around_balls, result.epoch.poses, self.tracker)
+        return picture_of(result, self.annotations(result), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
         image = frame.image.copy()
