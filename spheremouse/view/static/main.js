@@ -164,6 +164,7 @@ function advice(now) {
   if (troubled >= 0) return `Camera ${troubled + 1} takes no part: ${now.cameras[troubled].trouble}`;
   const missing = now.targets?.missing;
   if (now.state === "searching-targets" && missing?.length) return `Not seen: targets ${missing.join(", ")}. Clear the view of them, and add light.`;
+  if (now.state === "lost" && now.balls) return "Hold the ball before the camera, and light it evenly.";
   if (now.state === "tracking" && now.outputs?.every((/** @type {{spec: string}} */ output) => output.spec === "null"))
     return "The ball is followed. The output null sends no motion.";
   return STATES[now.state]?.advice ?? "";

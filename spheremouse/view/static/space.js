@@ -167,7 +167,8 @@ export class Space {
 
   /** Return points that the view must contain. @type {(radius: number, balls: (Sample | null)[]) => Vector[]} */
   #extent(radius, balls) {
-    const centres = this.#wand ? [...balls.map((b) => b?.position ?? /** @type {Vector} */ ([0, 0, 1]))] : [/** @type {Vector} */ ([0, 0, 0])];
+    const known = this.#wand ? balls.flatMap((b) => (b?.position ? [b.position] : [])) : [];
+    const centres = known.length ? known : [/** @type {Vector} */ ([0, 0, this.#wand ? 1 : 0])];
     const r = this.#wand ? 4 * radius : 1.35 * radius;
     const corners = centres.flatMap((p) => [-r, r].flatMap((dx) => [-r, r].flatMap((dy) => [-r, r].map(
       (dz) => add(p, /** @type {Vector} */ (unit([dx, dy, dz]).map((v) => v * r)))))));
