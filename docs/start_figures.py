@@ -113,7 +113,7 @@ def main() -> str:
         (MOTION, f"`{MOTION}`, to the first motion", "motion"),
     ]
     lines = [
-        "| | s | of the processor, s | times `python -c pass` | MB | asked for |",
+        "| | s | of the processor, s | times `python -c pass` | MB | limit |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for what, words, wish in rows:
@@ -123,7 +123,7 @@ def main() -> str:
             f"| {words} | {clock:.2f} | {processor:.2f} | {ratio:.0f} | {memory:.0f} | {ASKED.get(wish, '')} |"
         )
     load = max(before, os.getloadavg()[0])
-    lines += ["", f"{os.cpu_count()} cores, on which {load:.1f} processes ran or waited (the load; ours is 1 to 2)."]
+    lines += ["", f"{os.cpu_count()} cores, at a load of {load:.1f} (our own is 1 to 2)."]
     return "\n".join(lines)
 
 
