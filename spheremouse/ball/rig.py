@@ -10,7 +10,7 @@ from spheremouse.geometry.rotation import Array
 
 COLOURS = "CMY"
 CODES = ("CMY", "CYM", "MCY", "MYC", "YCM", "YMC")  # inside to outside
-MOST_DISCS = 250  # on a ball: two fingers apart on the smallest; the filter's time grows with their square
+MAX_DISCS = 250  # on a ball: two fingers apart on the smallest; the filter's time grows with their square
 UNKNOWN_READOUT = 0.015  # s: none with a global shutter, up to 30 ms with a slow rolling one
 
 

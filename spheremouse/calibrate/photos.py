@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import note
 from spheremouse.errors import CalibrationError, os_errors_as
-from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
+from spheremouse.files.pictures import MAX_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.geometry.camera import InteriorOrientation
 
@@ -192,7 +192,7 @@ def _read(path: Path) -> Photo:
 def _bytes(path: Path) -> bytes:
     """Read a photo's bytes. Raise CalibrationError if it is missing, unreadable, too large or empty."""
     try:
-        data = read_bytes(path, MOST_BYTES, "photo")
+        data = read_bytes(path, MAX_BYTES, "photo")
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such photo or folder; check the path") from None
     except OSError as e:

@@ -23,13 +23,13 @@ from spheremouse.files.yaml import MAX_BYTES, Problem, read_document, without_sc
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
 _MIN_TARGETS = 3  # targets; fewer define no axes
-_LARGEST_PART = 0.5  # m; a target or disc with a larger radius would be as large as a ball: mm or cm were meant
+_MAX_PART_RADIUS_M = 0.5  # m; a target or disc with a larger radius would be as large as a ball: mm or cm were meant
 _MAX_DISTANCE_M = 10.0  # m between targets of one frame that a camera sees at once: mm or cm were meant
 _MAX_RELATIVE_SIGMA = 0.1  # sigma over distance: a tape is never as bad
 
 Id = Annotated[int, Field(ge=0, le=10**6, description="the id of a target, one of those under `targets`")]
 Positive = Annotated[float, Field(gt=0, le=1e4)]  # m: no tape is longer
-_MOST_DISTANCES = 100  # six targets have fifteen, each may be measured several times
+_MAX_DISTANCES = 100  # six targets have fifteen, each may be measured several times
 
 
 class _Target(Part):
@@ -64,7 +64,7 @@ class DeviceFile(Part):
     disc_radius: Positive = Field(description="radius of a disc on the ball in metres, along the surface")
     axes: _Axes = Field(description="{origin, up, plane}: ids of three targets")
     distances: tuple[_TapeDistance, ...] = Field(  # type: ignore[valid-type]
-        (), max_length=_MOST_DISTANCES, description="list of {from, to, metres, sigma}; [] where nothing was measured"
+        (), max_length=_MAX_DISTANCES, description="list of {from, to, metres, sigma}; [] where nothing was measured"
     )
 
 
@@ -113,13 +113,13 @@ def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Probl
 
 def _size_problems(file: DeviceFile) -> Iterator[Problem]:
     radii = file.target_radii
-    if max(radii) > _LARGEST_PART:
-        yield Problem(("target_radii",), f"are {_format_list(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")
+    if max(radii) > _MAX_PART_RADIUS_M:
+        yield Problem(("target_radii",), f"are {_format_list(radii)} m; give {_in_metres(radii, _MAX_PART_RADIUS_M)}")
     elif not radii[0] < radii[1] < radii[2]:
         text = f"are {_format_list(radii)}; they must grow: inner disc, middle ring, outer ring, each from the centre"
         yield Problem(("target_radii",), text)
-    if file.disc_radius > _LARGEST_PART:
-        text = f"is {file.disc_radius:g} m; give {_in_metres([file.disc_radius], _LARGEST_PART)}"
+    if file.disc_radius > _MAX_PART_RADIUS_M:
+        text = f"is {file.disc_radius:g} m; give {_in_metres([file.disc_radius], _MAX_PART_RADIUS_M)}"
         yield Problem(("disc_radius",), text)
 
 
@@ -143,7 +143,7 @@ def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: fl
     key = ("distances", i, "metres")
     if d.metres > _MAX_DISTANCE_M:
         yield Problem(key, f"is {d.metres:g} m; give {_in_metres([d.metres], _MAX_DISTANCE_M)}")
-    elif outer <= _LARGEST_PART and d.metres < 2.0 * outer:
+    elif outer <= _MAX_PART_RADIUS_M and d.metres < 2.0 * outer:
         text = f"is {d.metres:g} m, and targets of radius {outer:g} m would overlap; check it and target_radii: metres"
         yield Problem(key, text)
     if d.metres <= _MAX_DISTANCE_M and d.sigma > _MAX_RELATIVE_SIGMA * d.metres:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalised
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.rig import MOST_DISCS
+from spheremouse.ball.rig import MAX_DISCS
 from spheremouse.files.validate import Part, validated
 from spheremouse.files.yaml import Document, Problem, shown, without_schema
 from spheremouse.geometry.rotation import Array
@@ -47,10 +47,10 @@ class LandmarksFile(MapHeader):
     """Directions with their joint covariance."""
 
     discs: tuple[DiscItem, ...] = Field(
-        min_length=1, max_length=MOST_DISCS, description="list of {direction, sigma, sightings}"
+        min_length=1, max_length=MAX_DISCS, description="list of {direction, sigma, sightings}"
     )
     correlation_root: tuple[str, ...] = Field(
-        max_length=2 * MOST_DISCS, description="two lines of whole numbers, in quotes, for each disc"
+        max_length=2 * MAX_DISCS, description="two lines of whole numbers, in quotes, for each disc"
     )
 
 

@@ -26,7 +26,7 @@ Size = tuple[int, int]  # px, width and height
 
 FRAME_PIXELS = 8192 * 4320  # 8K of the cinema; webcams have at most 4K
 PHOTO_PIXELS = MAX_PIXELS  # those of phones have 50 or 64 megapixels, of webcams 16; decoded and searched in 0.8 GB
-MOST_BYTES = 2**28  # of a file: 64 megapixels without compression
+MAX_BYTES = 2**28  # of a file: 64 megapixels without compression
 FORMATS = ("JPEG", "PNG", "TIFF", "BMP")
 _TILE_WIDTH, _TILE_LENGTH = 322, 323  # TIFF 6.0, section 15
 

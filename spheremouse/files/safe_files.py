@@ -32,7 +32,7 @@ from typing import Any, BinaryIO, Self
 from spheremouse.errors import ConfigurationError, SpheremouseError, os_errors_as
 
 MIN_LEFTOVER_AGE_S = 3600.0  # s since the last write; no file of ours takes so long until it has its name
-LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
+MAX_LINE_CHARACTERS = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
 _OPEN_FLAGS = sum(getattr(os, name, 0) for name in ("O_CLOEXEC", "O_NOCTTY", "O_BINARY"))
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0)
 _CHUNK_BYTES = 65_536
@@ -75,10 +75,12 @@ def open_to_read(path: Path) -> BufferedReader:
 def lines(file: BufferedReader) -> Iterator[str]:
     """Yield the lines of a UTF-8 table with their ends; OSError for an endless line, or a quote that does not end."""
     text, number = TextIOWrapper(file, encoding="utf-8-sig", newline=""), 0
-    while line := text.readline(LONGEST_LINE + 1):
+    while line := text.readline(MAX_LINE_CHARACTERS + 1):
         number += 1
-        if len(line) > LONGEST_LINE:
-            raise OSError(errno.EINVAL, f"line {number} is longer than {LONGEST_LINE} characters; is it a table?")
+        if len(line) > MAX_LINE_CHARACTERS:
+            raise OSError(
+                errno.EINVAL, f"line {number} is longer than {MAX_LINE_CHARACTERS} characters; is it a table?"
+            )
         if line.count('"') % 2:
             raise OSError(errno.EINVAL, f"line {number} has a quote that does not end; numbers need none")
         yield line

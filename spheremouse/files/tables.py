@@ -15,7 +15,7 @@ from spheremouse.errors import DatasetError
 from spheremouse.files.safe_files import lines, open_to_read
 from spheremouse.geometry.rotation import Array
 
-MOST_NUMBERS = 50_000_000  # in all columns that are read
+MAX_NUMBERS = 50_000_000  # in all columns that are read
 
 
 def read_columns(
@@ -26,7 +26,7 @@ def read_columns(
     Lines that begin with # are comments. Reading stops after `most` rows and one more. Raises DatasetError, with the
     line, if a cell is no number, a row has another width than the header, or the table has too many rows.
     """
-    fit = MOST_NUMBERS // len(columns)
+    fit = MAX_NUMBERS // len(columns)
     count = 0
     try:
         with open_to_read(path) as file:

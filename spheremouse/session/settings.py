@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 from spheremouse.ball.settings import Settings
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.files import config
-from spheremouse.files.dataset.format import MOST_BALLS
+from spheremouse.files.dataset.format import MAX_BALLS
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.wand_mapping import PointingSettings
@@ -78,10 +78,10 @@ class WandRunSettings(WandSettings):
         (),
         "-",
         "wand files, one for each ball, relative to this file's folder; by default the recording's ball, or Grzonka's",
-        most=MOST_BALLS,
+        most=MAX_BALLS,
     )
     points: int = param(
-        1, "-", "number of the ball that moves the pointer, in the order of `balls`", ge=1, le=MOST_BALLS
+        1, "-", "number of the ball that moves the pointer, in the order of `balls`", ge=1, le=MAX_BALLS
     )
     pointing: PointingSettings = field(default_factory=PointingSettings)
 

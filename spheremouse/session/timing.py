@@ -12,7 +12,7 @@ import numpy as np
 from spheremouse.capture.fetch import MAX_FRAME_GAP_S
 
 NEXT_FRAME_S = 0.05  # from one frame to the next, at 20 frames/s
-_SHORTEST_SLEEP = 0.1  # s
+_MIN_SLEEP_S = 0.1  # s
 _MAX_FRAMES = 10_000  # that are kept: some minutes
 
 
@@ -76,7 +76,7 @@ class SleepMonitor:
         """Return the time (s) slept since the last call, 0 for less than a tenth of a second."""
         asleep = time_asleep()
         slept, self._asleep = asleep - self._asleep, max(self._asleep, asleep)
-        if slept < _SHORTEST_SLEEP:
+        if slept < _MIN_SLEEP_S:
             return 0.0
         self._woke = now
         return slept

@@ -161,7 +161,7 @@ def test_a_table_is_held_in_eight_bytes_a_number(tmp_path, monkeypatch):
     path.write_text("a,b\n" + "1,2\n" * 10)
     table = tables.read_columns(path, ("b",))
     assert table["b"].nbytes == 80
-    monkeypatch.setattr(tables, "MOST_NUMBERS", 19)
+    monkeypatch.setattr(tables, "MAX_NUMBERS", 19)
     with pytest.raises(DatasetError, match=r"t\.csv: more than 9 rows; shorten the recording"):
         tables.read_columns(path, ("a", "b"))
 

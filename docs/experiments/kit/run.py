@@ -21,7 +21,7 @@ from spheremouse.files import plain_json
 from spheremouse.files.safe_files import read_text, write_atomically
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_MOST_BYTES = 100_000_000  # of a job's result
+_MAX_BYTES = 100_000_000  # of a job's result
 _SECTION = b"# ---- section ----"  # from which on an experiment puts its results into words
 
 
@@ -59,7 +59,7 @@ def _kept(folder: Path, wanted: list[Job]) -> dict[str, Result]:
     found = {}
     for job in wanted:
         try:
-            kept = plain_json.loads(read_text(folder / f"{job.key}.json", _MOST_BYTES, "result"), constants=True)
+            kept = plain_json.loads(read_text(folder / f"{job.key}.json", _MAX_BYTES, "result"), constants=True)
         except (OSError, ValueError):
             continue
         if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == program():

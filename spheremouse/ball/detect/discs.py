@@ -45,7 +45,7 @@ _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fit
 # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
 _MIN_COARSE_DISC_PX = 4.0
 _NOISE_EVERY = 16  # frames: the light changes slowly
-_MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
+_MAX_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
 # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
 _MAX_SEARCHED_DISC_PX = 14.0
 
@@ -167,7 +167,7 @@ class DiscDetector:
         near_limb, idle = replace(self, lattice=self.slivers), 0
         state = SearchState(contrast=learnt.contrast)
         shifts = len(self.slivers.samples)
-        while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
+        while idle < shifts and state.turn < _MAX_ROUNDS * shifts:
             more, after = near_limb.follow(image, state, known=found.centre)
             idle = idle + 1 if len(more) == 0 and len(after.rejected) == len(state.rejected) else 0
             found, state = found.joined(more), after

@@ -47,12 +47,12 @@ from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.geometry.statistics import poisson_tail
 from spheremouse.native import kernels
 
-_LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
+_MAX_GAP_S = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _NONE = np.zeros(0, dtype=np.intp)
 _RARE = kernels.RARE  # probability per frame below which chance does not explain the pairs
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = kernels.POINT_SIGMA  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
-_MOST_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
+_MAX_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
 _KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
 _STILL_S = 1.0  # s of views of a still scene that count as one view
@@ -103,7 +103,7 @@ class So3Filter:
 
         `process` and `weights` describe the additional variance by steps.
         """
-        dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
+        dt = float(min(max(stamp - state.stamp, 0.0), _MAX_GAP_S))
         attitude, rate, acceleration, joint, weights, process, interval, modes = kernels.predict(
             state.body, state.pending, dt, activity_of(self.settings)
         )
@@ -397,7 +397,7 @@ class So3Filter:
             in_place = self._distances_to_candidates(state, points, rows, which).diagonal() < self.settings.gate
             state = self._promote(state, points, rows[in_place], which[in_place])
         state = augment(state, points, seen.rows[turning & ~known], self.station.radius)
-        new = np.flatnonzero(~seen.turning & ~known)[: max(_MOST_CANDIDATES - len(state.candidates), 0)]
+        new = np.flatnonzero(~seen.turning & ~known)[: max(_MAX_CANDIDATES - len(state.candidates), 0)]
         return with_candidates(state, points, seen.rows[new], seen.numbers[new], self.station.radius)
 
     def _distances_to_candidates(

@@ -27,7 +27,7 @@ _EQUAL_RATE_CHI2 = 16.3  # squared Mahalanobis distance of rates that count as e
 _WIDE_GATE = 3.0  # times the gate: a prior's error may exceed its covariance, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FEW_POINTS = 4  # in view: so few discs may not determine the rotation
-_LEAST_DETECTED = 1e-6  # probability: no model justifies zero
+_MIN_DETECTION = 1e-6  # probability: no model justifies zero
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 
 
@@ -145,8 +145,8 @@ def _node(
     log_unpaired: float,
 ) -> _Node:
     state, evidence = filter_.correct(predicted, points, _pairing(rows, columns))
-    detected = float(np.sum(np.log(np.maximum(filter_.detection_probability(state)[list(columns)], _LEAST_DETECTED))))
-    return _Node(rows, columns, state, evidence + detected + log_unpaired)
+    detected = np.sum(np.log(np.maximum(filter_.detection_probability(state)[list(columns)], _MIN_DETECTION)))
+    return _Node(rows, columns, state, evidence + float(detected) + log_unpaired)
 
 
 def _pairing(rows: tuple[int, ...], columns: tuple[int, ...]) -> Pairing:

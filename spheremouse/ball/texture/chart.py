@@ -18,7 +18,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
-_LEAST_FACING = 0.15  # a pixel there shows seven times as much of the ball as in the middle
+_MIN_FACING = 0.15  # a pixel there shows seven times as much of the ball as in the middle
 
 
 class Chart(NamedTuple):
@@ -45,7 +45,7 @@ class Chart(NamedTuple):
     @property
     def inside(self) -> NDArray[np.bool_]:
         """True for each pixel, (size, size), that shows the ball and not too obliquely."""
-        return self.facing(self.directions()) > _LEAST_FACING
+        return self.facing(self.directions()) > _MIN_FACING
 
     def facing(self, directions: Array) -> Array:
         """Return the cosine, (...), between the ray to the camera and the normal of the ball at directions (..., 3)."""

@@ -38,7 +38,7 @@ from spheremouse.ball.texture.picture import (
 )
 from spheremouse.ball.texture.search import (
     FRAMES_PER_SEARCH,
-    LEAST_CORRELATION,
+    MIN_CORRELATION,
     Level,
     TextureDetector,
     TextureState,
@@ -120,7 +120,7 @@ class PictureMap:
     def compare_at(self, other: "PictureMap", rotation: Array) -> PictureComparison:
         """Compare with another picture, whose directions are about those of this one @ rotation.T, (3, 3)."""
         rough = _align(_samples(self.coarse, _MAX_SAMPLES[1]), other.coarse, rotation.T, self.noise)
-        if not rough.correlation > LEAST_CORRELATION:
+        if not rough.correlation > MIN_CORRELATION:
             return PictureComparison(rotation, rough.correlation, same_ball=False)
         found = _align(_samples(self.fine, _MAX_SAMPLES[0]), other.fine, rough.attitude, self.noise)
         return PictureComparison(found.attitude.T, found.correlation, fits(found))

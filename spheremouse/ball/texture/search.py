@@ -39,7 +39,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
 _COARSE_FACTOR = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
-LEAST_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
+MIN_CORRELATION = 0.35  # of frame and picture: with noise as strong as the pattern in both, it is a half
 # standard deviations of the correlation of independent pictures: near a prediction, by a search of many attitudes, and
 # of a pattern that a search can find while half of it is covered
 _MIN_NEAR_SIGNIFICANCE, _MIN_SEARCH_SIGNIFICANCE, CLEAR = 6.0, 9.0, 12.0
@@ -174,7 +174,7 @@ def search(detector: TextureDetector, now: TextureState, attitude: Array | None,
 def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Alignment | None:
     """Return the alignment with the coarse picture from `start`, then the fine one; None if the frame does not fit."""
     rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
-    if not rough.correlation > LEAST_CORRELATION:
+    if not rough.correlation > MIN_CORRELATION:
         return None
     found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
     usual = found.correlation > _MIN_USUAL_CORRELATION * now.usual and found.scale < _MAX_SEARCH_SCALE * now.usual_scale
@@ -206,7 +206,7 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
     attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _MIN_RIVAL_ANGLE]
     correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
     glanced = np.argsort(-correlation(attitudes, _PRESELECTION_SAMPLES))[:_STARTS]
-    likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCH_SAMPLES) > LEAST_CORRELATION]
+    likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCH_SAMPLES) > MIN_CORRELATION]
     repeats = any(_is_rival(detector, now, found, start) for start in likely)
     return now._replace(compared=now.compared + 1, repeats=repeats)
 
@@ -221,7 +221,7 @@ def _is_rival(detector: TextureDetector, now: TextureState, found: Alignment, st
 
 def fits(alignment: Alignment) -> bool:
     """Return whether frame and picture show the same."""
-    enough = alignment.correlation > LEAST_CORRELATION and significance(alignment) > _MIN_NEAR_SIGNIFICANCE
+    enough = alignment.correlation > MIN_CORRELATION and significance(alignment) > _MIN_NEAR_SIGNIFICANCE
     return alignment.converged and enough
 
 

@@ -23,7 +23,7 @@ POINT_PX = 1.0  # standard deviation of a point that a person gives
 _MIN_POINTS = 3  # points
 _MAX_COORDINATE_PX = 1e5  # px
 _PICTURE_INTERVAL_S = 0.09  # s between pictures: a ball turns little in less
-_MOST_BYTES = 250_000_000  # of pictures in memory
+_MAX_BYTES = 250_000_000  # of pictures in memory
 _MAX_MARKS = 40  # points in the picture
 _MAX_OFF_PX, _MAX_OFF_RADII = 4.0, 0.04  # px, and part of the radius, that a point may be off
 _MAX_RELATIVE_SIGMA = 0.05  # of the angular radius
@@ -158,7 +158,7 @@ def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrient
         for frame in section(source, 0.0, math.inf if seconds is None else seconds):
             if images and frame.image.shape != images[0].shape:
                 raise SourceError(f"{spec}: frame {frame.sequence} has another size than the first")
-            if frame.stamp - last >= _PICTURE_INTERVAL_S and (len(images) + 1) * frame.image.size < _MOST_BYTES:
+            if frame.stamp - last >= _PICTURE_INTERVAL_S and (len(images) + 1) * frame.image.size < _MAX_BYTES:
                 images.append(frame.image.copy())
                 last = frame.stamp
             if seconds is None:

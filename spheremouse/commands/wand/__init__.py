@@ -120,7 +120,7 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
     """
     from spheremouse.files.dataset.frames import read_frames
     from spheremouse.files.dataset.wand import open_wand
-    from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
+    from spheremouse.files.pictures import FRAME_PIXELS, MAX_BYTES, decoded, read_header
     from spheremouse.files.safe_files import read_bytes
 
     if path.is_dir():
@@ -128,7 +128,7 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
     with os_errors_as(ConfigurationError, f"{path}"):
-        data = read_bytes(path, MOST_BYTES, "picture")
+        data = read_bytes(path, MAX_BYTES, "picture")
         read_header(data, FRAME_PIXELS)
         image = decoded(data, upright=True)
     if min(image.shape[:2]) < 32:

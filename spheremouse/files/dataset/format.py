@@ -17,8 +17,8 @@ from spheremouse.files.yaml import Document, refuse_control_characters
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
-MOST_BALLS = 8  # in hands: each takes its time in every frame, and two people have four
-BALL_FILES = tuple(f"wand-{k + 1}.yaml" for k in range(MOST_BALLS))
+MAX_BALLS = 8  # in hands: each takes its time in every frame, and two people have four
+BALL_FILES = tuple(f"wand-{k + 1}.yaml" for k in range(MAX_BALLS))
 FILES = (
     "scene.json", "video.mkv", "frames", "truth.csv", "discs.csv", "stamps.csv", "rig.yaml", "config.yaml", *BALL_FILES,
 )  # fmt: skip
@@ -27,8 +27,8 @@ MOTION_COLUMNS = ("frame", "t", *MATRIX_COLUMNS, "wx", "wy", "wz")
 TRUTH_COLUMNS = (*MOTION_COLUMNS, "omega", "phi", "kappa")
 BLOB_COLUMNS = ("u_blob", "v_blob", "area_px")  # may be empty
 STAMP_COLUMNS = ("frame", "t", "sequence", "colour")
-MOST_BYTES = 1_000_000  # of scene.json; 10,000 discs have 600,000
-MOST_FRAMES = 86_400 * 120  # a day at 120 frames per second: `record` takes no more than a day
+MAX_BYTES = 1_000_000  # of scene.json; 10,000 discs have 600,000
+MAX_FRAMES = 86_400 * 120  # a day at 120 frames per second: `record` takes no more than a day
 DISC_COLUMNS = ("frame", "disc", "u_center", "v_center", *BLOB_COLUMNS, "state")
 
 
@@ -64,7 +64,7 @@ class SceneEntry(Entry):
     width: Annotated[int, Field(gt=0)]
     height: Annotated[int, Field(gt=0)]
     fps: Positive
-    frames: Annotated[int, Field(gt=0, le=MOST_FRAMES)]
+    frames: Annotated[int, Field(gt=0, le=MAX_FRAMES)]
     exposure_s: Annotated[float, Field(ge=0)] = 0.0
 
     def interior_orientation(self, camera: CameraEntry) -> InteriorOrientation:
@@ -79,7 +79,7 @@ Scene = TypeVar("Scene", bound=SceneEntry)
 def read_json(path: Path) -> Document:
     """Read scene.json; DatasetError, with the line, if it is invalid."""
     try:
-        data = plain_json.loads(read_text(path, MOST_BYTES, "scene.json"), constants=True)
+        data = plain_json.loads(read_text(path, MAX_BYTES, "scene.json"), constants=True)
         return Document(f"{path}: ", plain_json.tuples(data))
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a dataset needs it") from None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from spheremouse.errors import DatasetError, os_errors_as
 from spheremouse.files.dataset.format import STAMP_COLUMNS, check_frames
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
-from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
+from spheremouse.files.pictures import MAX_BYTES as PICTURE_BYTES
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation

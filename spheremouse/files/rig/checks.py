@@ -10,7 +10,7 @@ from spheremouse.files.yaml import Key, Problem
 from spheremouse.geometry.camera import too_large
 from spheremouse.geometry.rotation import Array
 
-_MOST_RADII = 100.0  # of the ball, standard deviation of a length: beyond, it carries no information
+_MAX_RADII = 100.0  # of the ball, standard deviation of a length: beyond, it carries no information
 
 
 def camera_problems(c: CameraPart) -> Iterator[Problem]:
@@ -24,7 +24,7 @@ def camera_problems(c: CameraPart) -> Iterator[Problem]:
 
 
 def rig_problems(file: RigFile) -> Iterator[Problem]:
-    spread = [_MOST_RADII * file.ball.radius] * 3
+    spread = [_MAX_RADII * file.ball.radius] * 3
     ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, [*spread, spread[0]]))
     yield from ball
     if file.disc_radius is not None and file.disc_radius >= file.ball.radius:

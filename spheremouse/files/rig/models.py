@@ -5,7 +5,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import Field
 
-from spheremouse.ball.rig import CODES, MOST_DISCS
+from spheremouse.ball.rig import CODES, MAX_DISCS
 from spheremouse.files.validate import Part, Provenance
 from spheremouse.geometry.camera import MAX_SIDE
 from spheremouse.geometry.rotation import Array
@@ -91,7 +91,7 @@ class RigFile(CameraFile):
     pose_ball_covariance: Matrix | None = Field(
         None, description="6 x 4 of the pose with the ball's centre x, y, z and radius"
     )
-    discs: tuple[Vector3, ...] = Field((), max_length=MOST_DISCS, description="list of unit vectors [x, y, z] in ball")
+    discs: tuple[Vector3, ...] = Field((), max_length=MAX_DISCS, description="list of unit vectors [x, y, z] in ball")
 
 
 def matrix(rows: Matrix | None, n: int, m: int | None = None) -> Array:

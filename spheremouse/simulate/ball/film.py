@@ -31,7 +31,7 @@ from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedF
 from spheremouse.simulate.ball.scene import BLACK, WHITE_BALL, Scene, default_scene
 from spheremouse.simulate.light import reflectance
 
-MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
+MAX_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,10 +180,10 @@ def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: 
 
 
 def _check_length(seconds: float, fps: float, name: str) -> None:
-    if seconds * fps > MOST_FRAMES + 0.5:
+    if seconds * fps > MAX_FRAMES + 0.5:
         raise ConfigurationError(
             f"{name}: {seconds:g} s at {fps:g} Hz are {seconds * fps:.7g} frames; "
-            f"at most {MOST_FRAMES} make a recording, {MOST_FRAMES / fps:.6g} s at that rate"
+            f"at most {MAX_FRAMES} make a recording, {MAX_FRAMES / fps:.6g} s at that rate"
         )
 
 

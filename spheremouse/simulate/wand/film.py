@@ -13,7 +13,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import option_name
-from spheremouse.simulate.ball.film import MOST_FRAMES
+from spheremouse.simulate.ball.film import MAX_FRAMES
 from spheremouse.simulate.ball.options import Named, check_bounds
 from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import DRIVE_SPEED, HAND_RATE, HAND_SPEED, WandPath, drive, hand
@@ -73,8 +73,8 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
             f"{named('seconds')}: {seconds:g} s from {options.begin:g} s on; this motion ends {length:.1f} s after that"
         )
     frames = max(1, int(np.floor(seconds * fps + 1e-9)))
-    if frames > MOST_FRAMES:
-        raise ConfigurationError(f"{named('seconds')}: {frames} frames; at most {MOST_FRAMES} make a recording")
+    if frames > MAX_FRAMES:
+        raise ConfigurationError(f"{named('seconds')}: {frames} frames; at most {MAX_FRAMES} make a recording")
     for field in ("hand", "card"):
         time = getattr(options, field)
         if time is not None and not 0.0 <= time < seconds:
