@@ -15,7 +15,7 @@ from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import ATTITUDE, ERRORS, RATE, Part, Plot, Table, by, filter_rows, rms, tidy, where
 from spheremouse.errors import PoseError
 from spheremouse.evaluation.metrics import run_bound
-from spheremouse.simulate.ball.events import degraded
+from spheremouse.simulate.ball.events import degrade
 
 TITLE = "Noise and brightness (Wittich 2017, table 24)"
 SIGMAS = (1, 5, 10, 15)  # grey values
@@ -44,7 +44,7 @@ def graded(path: str | None, level: int, sigmas: list[int], frames: int) -> Resu
     """Return by sigma_r the filters' errors and the bound, or the reason why there are none."""
     film, cells = film_like_s1(path, frames), {}
     for sigma in sigmas:
-        worse = replace(film, frames=tuple(degraded(iter(film.frames), float(sigma), float(level))))
+        worse = replace(film, frames=tuple(degrade(iter(film.frames), float(sigma), float(level))))
         try:
             runs = detections.all_runs(worse)
         except PoseError as e:

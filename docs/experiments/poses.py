@@ -24,7 +24,7 @@ from spheremouse.ball.pose import Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
-from spheremouse.simulate.ball.events import degraded
+from spheremouse.simulate.ball.events import degrade
 from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.ball.profile import still
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
@@ -64,7 +64,7 @@ def recorded(path: str) -> Result:
     """The same of a dataset with noise added; it knows its targets exactly."""
     film = kit.film_from_dataset(Path(path), VIEWS_USED)
     assert film.truth.pose is not None, "a dataset for this knows the camera's pose"
-    return _poses(degraded(iter(film.frames), NOISE, 0.0), {"exact": film.rig}, film.truth.pose)
+    return _poses(degrade(iter(film.frames), NOISE, 0.0), {"exact": film.rig}, film.truth.pose)
 
 
 def strayed_pose(scene: Scene, rng: np.random.Generator) -> Pose:

@@ -55,7 +55,7 @@ def seek_by_colour(frame: Frame, tracker: Tracker) -> MovedTracker | None:
         seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
         pose = find_pose([seen], rig, frame.image).pose
         shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
-        moved = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+        moved = watching.most_have_moved(shift, 3.0 * watching.MATCH_SIGMA_PX)
         return MovedTracker(build(rig, pose, settings)) if moved else None
     except PoseError:
         return None
@@ -141,9 +141,9 @@ def check_targets(
     """
     watch, shift = watching.target_shifts(before, frame.image)
     on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
-    displaced_on_rings = watching.displaced(on_rings, watching.DISPLACED_PX)
+    displaced_on_rings = watching.most_have_moved(on_rings, watching.DISPLACED_PX)
     if displaced_on_rings is None:
-        displaced_on_rings = watching.displaced(shift, 3.0 * watching.MATCH_SIGMA_PX)
+        displaced_on_rings = watching.most_have_moved(shift, 3.0 * watching.MATCH_SIGMA_PX)
     if displaced_on_rings:
         camera_still = watching.is_still(before.shift, shift)
         found = (_pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)) if camera_still else None

@@ -169,7 +169,7 @@ def check_next_target(
     return replace(watch, seen=seen, turn=turn, due=stamp + step), odd
 
 
-def displaced(shift: Array, limit: float) -> bool | None:
+def most_have_moved(shift: Array, limit: float) -> bool | None:
     """Return whether most targets have moved by more than `limit` px, from their shifts, (n, 2) px.
 
     Returns None if fewer than three targets are visible.

@@ -157,7 +157,7 @@ def _stages(
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
     done = done._replace(events=(*events, *done.events))
-    done = colours.refined(done, frame, tracker)
+    done = colours.refine_projection(done, frame, tracker)
     return done if done.state.colours is before else colours.with_colour_event(done, before)
 
 

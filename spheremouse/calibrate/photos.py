@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import note
 from spheremouse.errors import CalibrationError, os_errors_as
-from spheremouse.files.pictures import MAX_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
+from spheremouse.files.pictures import MAX_BYTES, PHOTO_PIXELS, Header, Size, decode, px, read_header
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.geometry.camera import InteriorOrientation
 
@@ -81,7 +81,7 @@ def image(photo: Photo) -> NDArray[np.uint8]:
     if _header(photo.path, data).size != photo.size:
         raise CalibrationError(f"{photo.path}: has changed meanwhile; run it again")
     with os_errors_as(CalibrationError, f"{photo.path}"):
-        return decoded(data)
+        return decode(data)
 
 
 def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:

@@ -159,7 +159,7 @@ def full_spec(spec: str) -> str:
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """Open the source `KIND:ARGUMENT`. With `realtime`, recorded frames come no earlier than by their stamps."""
     members = ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__")
-    return registry.opened(sys.modules[__name__], "source", spec, SourceError, members, realtime)
+    return registry.open_spec(sys.modules[__name__], "source", spec, SourceError, members, realtime)
 
 
 def probe(spec: str) -> list[Finding]:
@@ -167,7 +167,7 @@ def probe(spec: str) -> list[Finding]:
     return registry.probe(sys.modules[__name__], "source", spec, SourceError)
 
 
-def paced(frames: Iterator[Frame]) -> Iterator[Frame]:
+def pace(frames: Iterator[Frame]) -> Iterator[Frame]:
     """Yield all frames at the pace of their stamps."""
     offset: float | None = None  # s, clock minus stamp of the first frame
     for frame in frames:

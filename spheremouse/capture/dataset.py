@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from spheremouse.capture import Stream, paced
+from spheremouse.capture import Stream, pace
 from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_frames
@@ -19,7 +19,7 @@ def open(argument: str, realtime: bool) -> Stream:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     recording = open_frames(Path(argument))
     frames = read_frames(recording)
-    return Stream(paced(frames) if realtime else frames, rig=recording.rig, fps=recording.fps, count=recording.frames)
+    return Stream(pace(frames) if realtime else frames, rig=recording.rig, fps=recording.fps, count=recording.frames)
 
 
 def probe(argument: str) -> list[Finding]:

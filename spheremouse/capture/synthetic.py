@@ -5,7 +5,7 @@ For example `synthetic:motion=play,seconds=10,noise=5`. Lists are in brackets, a
 
 import re
 
-from spheremouse.capture import Stream, paced
+from spheremouse.capture import Stream, pace
 from spheremouse.files.config import override
 from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepare, simulate
 
@@ -18,7 +18,7 @@ def open(argument: str, realtime: bool) -> Stream:
     simulation = check(argument)
     frames = (rendered.frame for rendered in simulate(simulation))
     return Stream(
-        paced(frames) if realtime else frames, rig=simulation.scene.rig(), fps=simulation.fps, count=simulation.frames
+        pace(frames) if realtime else frames, rig=simulation.scene.rig(), fps=simulation.fps, count=simulation.frames
     )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.capture import Stream, paced
+from spheremouse.capture import Stream, pace
 from spheremouse.capture.nodes import probe_path
 from spheremouse.errors import SourceError
 from spheremouse.files.pictures import open_film
@@ -40,7 +40,7 @@ def open(argument: str, realtime: bool) -> Stream:
     promised = _positive(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     count = None if promised is None else round(promised)
     frames = read_frames(capture, path, fps, count)
-    return Stream(paced(frames) if realtime else frames, fps=fps, count=count, close=capture.release)
+    return Stream(pace(frames) if realtime else frames, fps=fps, count=count, close=capture.release)
 
 
 def read_frames(capture: cv2.VideoCapture, path: Path, fps: float | None, count: int | None) -> Iterator[Frame]:

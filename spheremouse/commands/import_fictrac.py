@@ -47,7 +47,7 @@ def import_fictrac(
     """
     from spheremouse.calibrate.outline.fit import pinhole, rig_of
     from spheremouse.commands.ball import film, source_spec
-    from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
+    from spheremouse.commands.ball.folder import check_folder, describe, draw_outline, next_steps, write_folder
     from spheremouse.files.config import to_yaml
     from spheremouse.files.fictrac import KEYS, read_fictrac
     from spheremouse.output.fictrac import R_LAB_OBJ
@@ -65,7 +65,7 @@ def import_fictrac(
     if (port := int(fictrac.values.get("sock_port", -1))) > 0:
         host = fictrac.values.get("sock_host", "127.0.0.1")
         settings.append(f"output: {to_yaml(f'udp:{host}:{port},format=fictrac')}")
-    picture = drawn(images[-1], outline.pixels(camera), (), masks)
+    picture = draw_outline(images[-1], outline.pixels(camera), (), masks)
     write_folder(out, rig, picture, spec, settings, "spheremouse import-fictrac")
     reasons = {key: f"not needed: {reason}" for key, (_, reason) in KEYS.items() if reason} | {"c2a_r": axes}
     reasons |= {key: "not needed: c2a_src names others" for key in _SQUARES if key != fictrac.values.get("c2a_src")}

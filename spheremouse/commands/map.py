@@ -36,7 +36,7 @@ def show(
     standard deviation of the direction for each axis.
     """
     from spheremouse.ball.disc_map import DiscMap
-    from spheremouse.ball.texture.picture_map import unfolded
+    from spheremouse.ball.texture.picture_map import unfold
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import table_console
     from spheremouse.files.ball_map import age, load_map
@@ -48,7 +48,7 @@ def show(
         raise ConfigurationError(f"--output: {file} is a map of discs, and draws none", "leave --output out")
     if output is not None:
         check_outputs([output], [file], force=True)
-        write_picture(output, unfolded(found.fine, _TURN_WIDTH_PX))
+        write_picture(output, unfold(found.fine, _TURN_WIDTH_PX))
     table = (_disc_table if found.kind == DiscMap.kind else _pattern_table)(found)
     description = f"{found.text} on a ball of {saved.ball_radius:g} m"
     if saved.disc_radius is not None:

@@ -27,7 +27,7 @@ def simulate(
     from spheremouse.simulate.to_dataset import write_simulation
 
     film = prepare(options)
-    megabytes = written(folder, film.frames, write_simulation(folder, film, replace=force))
+    megabytes = write_film(folder, film.frames, write_simulation(folder, film, replace=force))
     (width, height), discs = options.size, options.disc_count
     pattern = "" if options.pattern is None else f"pattern {options.pattern}, "
     print(
@@ -36,7 +36,7 @@ def simulate(
     )
 
 
-def written(folder: Path, frames: int, steps: Iterable[int]) -> float:
+def write_film(folder: Path, frames: int, steps: Iterable[int]) -> float:
     """Write a film's folder in `steps`, which count its frames, and return its size in megabytes."""
     with progress_bar() as bar:
         task = bar.add_task(f"filming {folder}", total=frames)

@@ -65,9 +65,9 @@ def load_map(path: Path) -> SavedMap:
         if key:
             from spheremouse.files import picture_map
 
-            file, found = picture_map.parsed(document, picture)
+            file, found = picture_map.parse(document, picture)
         else:
-            file, found = disc_map.parsed(document)
+            file, found = disc_map.parse(document)
     except ConfigurationError as e:
         first, *others = str(e).splitlines()
         more = f" (and {len(others)} more)" if others else ""

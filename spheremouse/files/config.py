@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.validate import CONFIG_SHOW, Part, nearest, validated
+from spheremouse.files.validate import CONFIG_SHOW, Part, nearest, validate
 from spheremouse.files.yaml import (
     SCHEMAS,
     Document,
@@ -106,7 +106,7 @@ def assignments(values: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{key}={to_yaml(value)}" for key, value in values.items())
 
 
-def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
+def assigned_values(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
     """Return the values of the settings that the assignments name, by key."""
     found: dict[tuple[str, ...], Any] = {}
     for assignment in assignments:
@@ -173,7 +173,7 @@ def parameters(settings: Any) -> Iterator[tuple[Key, Any]]:
     return ((key, value) for key, _, _, value in _fields(settings))
 
 
-def described(settings: Any) -> Iterator[dict[str, Any]]:
+def describe(settings: Any) -> Iterator[dict[str, Any]]:
     """Yield key, value, unit, meaning, type, bounds and choices of every setting as plain data (docs/control.md)."""
     for key, field, hint, value in _fields(settings):
         about, bounds = field.metadata, field.metadata["bounds"]
@@ -278,7 +278,7 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
 
 def _apply(document: Document, settings: S) -> S:
     """Return the settings with the values of a checked document."""
-    return _update(settings, validated(document, model_of(type(settings))), document, ())
+    return _update(settings, validate(document, model_of(type(settings))), document, ())
 
 
 def _without_short_form(about: Mapping[str, Any], section: bool, value: Any) -> Any:

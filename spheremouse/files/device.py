@@ -17,7 +17,7 @@ from spheremouse.files.access import shipped
 from spheremouse.files.rig.checks import repeated_targets
 from spheremouse.files.rig.models import Code
 from spheremouse.files.safe_files import read_bytes
-from spheremouse.files.validate import Part, validated
+from spheremouse.files.validate import Part, validate
 from spheremouse.files.yaml import MAX_BYTES, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
@@ -73,7 +73,7 @@ def load_device(path: Path) -> Device:
     document = read_document(path)
     if not isinstance(document.data, dict) or "schema" in document.data:
         document = without_schema(document, "device")
-    file = validated(document, DeviceFile)
+    file = validate(document, DeviceFile)
     distances = tuple(Distance(getattr(d, "from"), d.to, d.metres, d.sigma) for d in file.distances)
     if problems := list(_problems(file, distances)):
         raise document.error(problems)
@@ -87,7 +87,7 @@ def load_device(path: Path) -> Device:
     )
 
 
-def untouched(path: Path) -> bool:
+def is_untouched(path: Path) -> bool:
     """Return True if the device file is readable and has the first line that `calibrate init` writes."""
     try:
         return UNTOUCHED.encode() in read_bytes(path, MAX_BYTES, "device file")

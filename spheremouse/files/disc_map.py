@@ -13,10 +13,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalised
+from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalise
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MAX_DISCS
-from spheremouse.files.validate import Part, validated
+from spheremouse.files.validate import Part, validate
 from spheremouse.files.yaml import Document, Problem, shown, without_schema
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import correlation
@@ -108,9 +108,9 @@ def _factor(covariance: Array) -> tuple[Array, Array]:
     return sigma, root / np.linalg.norm(root, axis=1, keepdims=True)
 
 
-def parsed(document: Document) -> tuple[MapFile, DiscMap]:
+def parse(document: Document) -> tuple[MapFile, DiscMap]:
     """Return the content of a file and its map. Raise ConfigurationError with all problems."""
-    file = validated(without_schema(document, "map"), MapFile)
+    file = validate(without_schema(document, "map"), MapFile)
     problems = [*landmark_problems(file)]
     if not any(file.weights):
         problems.append(Problem(("weights",), "are all 0; remove the line: they are found as the ball turns"))
@@ -156,7 +156,7 @@ def landmark_problems(file: LandmarksFile) -> Iterator[Problem]:
 
 def _projection(weights: tuple[float, float, float]) -> Projection:
     """Return the projection of a file; grey and its negative are exact, since grey images show both."""
-    found = normalised(np.array(weights))
+    found = normalise(np.array(weights))
     return next((p for p in (GREY, NEGATIVE) if np.allclose(p.weights, found.weights, rtol=0.0, atol=1e-5)), found)
 
 

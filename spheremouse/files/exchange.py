@@ -16,12 +16,12 @@ from spheremouse.files.yaml import SCHEMAS, Document, parse_value, read_document
 Settings = Iterable[Mapping[str, Any]]  # with `key`, `value` and `default`, as the daemon describes its settings
 
 
-def exported(settings: Settings) -> str:
+def export_settings(settings: Settings) -> str:
     """Return the settings that differ from their defaults, as the text of a configuration file."""
     return settings_text({about["key"]: about["value"] for about in settings if about["value"] != about["default"]})
 
 
-def imported(settings: Settings, document: Document) -> dict[str, Any]:
+def import_settings(settings: Settings, document: Document) -> dict[str, Any]:
     """Return the values of a document, by dotted key, that are not in force. A list is equal to a tuple."""
     known = {about["key"]: plain_json.tuples(about["value"]) for about in settings}
     read = read_settings(document).items()

@@ -50,7 +50,7 @@ def _read_report(path: Path) -> dict[str, Any]:
         return {"file": str(path), "problem": "is no report of a calibration"}
     except (ValueError, TypeError, KeyError, IndexError, AttributeError) as e:
         reason = f"{e.args[0]}: missing" if isinstance(e, KeyError) else "a value has another type"
-        reason = plain_json.said(e) if isinstance(e, ValueError) else reason
+        reason = plain_json.message_of(e) if isinstance(e, ValueError) else reason
         return {"file": str(path), "problem": f"is no valid report of a calibration ({reason[:100]})"}
 
 

@@ -15,7 +15,7 @@ from pydantic import Field
 from spheremouse.ball.texture.picture import COARSEST, FINEST, TILE, Picture
 from spheremouse.ball.texture.picture_map import PictureMap, with_known
 from spheremouse.files.disc_map import LandmarksFile, landmark_lines, landmark_problems, landmarks
-from spheremouse.files.validate import validated
+from spheremouse.files.validate import validate
 from spheremouse.files.yaml import Document, Problem, without_schema
 
 _VALUE, _WEIGHT = 1.0 / 1024.0, 1.0 / 8.0  # of a contrast; of a view
@@ -53,9 +53,9 @@ def lines(header: list[str], picture_map: PictureMap) -> list[str]:
     ]
 
 
-def parsed(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap]:
+def parse(document: Document, block: bytes) -> tuple[PictureMapFile, PictureMap]:
     """Return the content of a file and its map. Raise ConfigurationError with all problems."""
-    file = validated(without_schema(document, "map"), PictureMapFile)
+    file = validate(without_schema(document, "map"), PictureMapFile)
     problems, pictures = [*landmark_problems(file)], _unpack(block, file.cells)
     if pictures is None:
         problems.append(Problem((), "picture: is damaged, or has another number of cells"))

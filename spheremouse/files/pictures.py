@@ -38,7 +38,7 @@ class Header(NamedTuple):
     orientation: int  # of EXIF, 1 to 8; 1 is upright
 
 
-def decoded(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
+def decode(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
     """Decode an image file: (h, w, 3) blue, green, red, as stored or `upright`. Call `read_header` first, for its size.
 
     Raises OSError if OpenCV cannot decode it.

@@ -44,7 +44,7 @@ def tuples(value: Any) -> Any:
     return {k: tuples(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
-def said(error: ValueError) -> str:
+def message_of(error: ValueError) -> str:
     """Return the message of an error of `loads` in one line, without its line number."""
     words = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
     return " ".join(words.split())[:120]

@@ -55,7 +55,7 @@ def probe(package: ModuleType, what: str, spec: str, error: type[SpheremouseErro
     return [] if examine is None else examine(argument)
 
 
-def opened(
+def open_spec(
     package: ModuleType, what: str, spec: str, error: type[SpheremouseError], members: Iterable[str], *more: Any
 ) -> Any:
     """Open `KIND:ARGUMENT`: call the module's `open` with the argument and `more`, and return its result.

@@ -45,10 +45,10 @@ def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
     Raises ConfigurationError with the file's problems.
     """
     document = without_schema(read_document(path), kind)
-    return document, validated(document, model)
+    return document, validate(document, model)
 
 
-def validated(document: Document, model: type[M]) -> M:
+def validate(document: Document, model: type[M]) -> M:
     """Return the model instance of a document, or raise one ConfigurationError with all problems."""
     try:
         return model.model_validate(document.data)

@@ -197,7 +197,7 @@ def open_output(spec: str) -> Output:
         "__enter__",
         "__exit__",
     )
-    return registry.opened(sys.modules[__name__], "output", spec, OutputError, members)
+    return registry.open_spec(sys.modules[__name__], "output", spec, OutputError, members)
 
 
 def file_of(spec: str) -> Path | None:

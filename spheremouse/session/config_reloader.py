@@ -72,7 +72,7 @@ def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[di
     """
     saved = {dotted(key): value for key, value in config.parameters(plan.without_changes)}
     fixed = (*AT_START, "map") if overrides.no_map else AT_START
-    described = ((about, about["key"].partition(".")[0]) for about in config.described(plan.configuration))
+    described = ((about, about["key"].partition(".")[0]) for about in config.describe(plan.configuration))
     unread = _UNREAD[plan.configuration.tracker]
     return [
         {**about, "saved": saved[about["key"]], "live": section not in fixed}

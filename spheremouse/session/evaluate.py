@@ -50,7 +50,7 @@ def numbered_frames(recording: Recording, first: int = 0) -> Iterator[Frame]:
     return (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording), first))
 
 
-def joined(one: Recording, other: Recording) -> Recording:
+def join(one: Recording, other: Recording) -> Recording:
     """Return the recording of two cameras: the truth of both, in the axes of the first, and no truth of pictures."""
     if one.truth is None or other.truth is None:
         return replace(one, truth=None, discs=None, name=f"{one.name} and {other.name}")

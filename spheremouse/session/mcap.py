@@ -20,7 +20,7 @@ from spheremouse.geometry import Array
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Report
 from spheremouse.output.sample import Sample, to_object
-from spheremouse.session.control.jpeg_picture import encoded
+from spheremouse.session.control.jpeg_picture import encode_jpeg
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 from spheremouse.tracker import Status
 
@@ -79,7 +79,7 @@ class McapWriter:
         scene, pointing = adapter.scene(), result.samples[result.pointing]
         self._write_camera(scene["camera"], adapter.camera, pointing.coordinates == "obj")
         image = result.frame.image
-        data = encoded(image if image.ndim == 3 else image[:, :, None])
+        data = encode_jpeg(image if image.ndim == 3 else image[:, :, None])
         self._write("CompressedImage", "/camera/image", frame_id="cam", data=data, format="jpeg")
         annotations = image_annotations(adapter.annotations(result), self._stamp())
         self._channel("ImageAnnotations", "/camera/annotations").log(annotations, log_time=self._time)

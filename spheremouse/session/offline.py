@@ -144,7 +144,7 @@ def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sam
     return [replace(s, estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
 
 
-def opened(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Output]:
+def open_outputs(specs: Sequence[str], stack: ExitStack, view: View) -> dict[str, Output]:
     """Open outputs. One that cannot be opened is logged and left out. The error of the last one ends the run."""
     outputs = dict[str, Output]()
     for spec in specs:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
-from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, paced
+from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, pace
 from spheremouse.capture.fetch import Streamed
 from spheremouse.capture.lock import locked_camera
 from spheremouse.capture.replay import Replay
@@ -138,7 +138,7 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
 
     recording = open_wand(Path(argument))
     frames = read_frames(recording)
-    stream = Stream(paced(frames) if realtime else frames, fps=recording.fps, count=recording.frames)
+    stream = Stream(pace(frames) if realtime else frames, fps=recording.fps, count=recording.frames)
     return Setup(stream, recording.camera, recording.balls)
 
 

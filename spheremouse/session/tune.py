@@ -151,7 +151,7 @@ def _defaults(settings: Configuration) -> Values:
 
 def tunable(settings: Configuration) -> list[dict[str, Any]]:
     """Return the described settings that are searched: numbers and choices of filter, discs and loss."""
-    return [d for d in config.described(settings) if d["group"] in _GROUPS and d["type"] in _KINDS]
+    return [d for d in config.describe(settings) if d["group"] in _GROUPS and d["type"] in _KINDS]
 
 
 def tune(

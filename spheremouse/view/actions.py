@@ -12,10 +12,10 @@ from pydantic import Field, create_model
 from spheremouse.errors import ConfigurationError, ControlError, printable
 from spheremouse.files.calibration_folder import default_folder
 from spheremouse.files.edit import save_settings
-from spheremouse.files.exchange import defaults, exported, imported, values_of
+from spheremouse.files.exchange import defaults, export_settings, import_settings, values_of
 from spheremouse.files.figures import read_figures
 from spheremouse.files.plain_json import tuples
-from spheremouse.files.validate import Part, validated
+from spheremouse.files.validate import Part, validate
 from spheremouse.files.yaml import Document, parse_bytes
 from spheremouse.session.control.client import Client, settings_to_save
 from spheremouse.session.process import child
@@ -57,7 +57,7 @@ class Actions:
             "stop": (Part, lambda _: recordings.stop()),
             "calibration": (Part, lambda _: self._calibration()),
             "guide": (GuideStep, guide.do),
-            "export": (Part, lambda _: {"text": exported(daemon.described.settings)}),
+            "export": (Part, lambda _: {"text": export_settings(daemon.described.settings)}),
             "import": (_Text, lambda given: self._import(given.text)),
         }
 
@@ -72,7 +72,7 @@ class Actions:
         """
         if action in self._own:
             model, method = self._own[action]
-            answer = method(validated(Document(f"{action}: ", tuples(arguments)), model))
+            answer = method(validate(Document(f"{action}: ", tuples(arguments)), model))
             return await answer if isawaitable(answer) else answer
         if action not in _REQUESTS:
             raise ControlError(f"{action}: there is no such action")
@@ -85,7 +85,7 @@ class Actions:
 
     async def _import(self, text: str) -> str:
         document = parse_bytes(text.encode(), "the imported file")
-        return await self._set_all(imported(self._daemon.described.settings, document), "import")
+        return await self._set_all(import_settings(self._daemon.described.settings, document), "import")
 
     async def _calibration(self) -> Message:
         """Return the reports beside the rig and in the folder of the calibration."""

@@ -29,7 +29,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from spheremouse import __version__
 from spheremouse.errors import ConfigurationError, SpheremouseError, internal_error_text, printable
 from spheremouse.files.plain_json import loads, tuples
-from spheremouse.files.validate import Part, validated
+from spheremouse.files.validate import Part, validate
 from spheremouse.files.yaml import Document
 from spheremouse.session.control.jpeg_picture import JpegPicture
 from spheremouse.session.control.protocol import internal_error
@@ -188,7 +188,7 @@ class _Browser:
             data = tuples(loads(text))
             if not isinstance(data, dict) or not isinstance(data.get("type"), str) or data["type"] not in _MESSAGES:
                 raise ValueError(f"type: must be one of {', '.join(_MESSAGES)}")
-            message = validated(Document("", data), _MESSAGES[data["type"]])
+            message = validate(Document("", data), _MESSAGES[data["type"]])
         except (ValueError, ConfigurationError) as e:
             id_ = data.get("id") if isinstance(data, dict) else None
             self._refuse(id_ if isinstance(id_, int) else None, e)

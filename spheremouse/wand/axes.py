@@ -30,7 +30,7 @@ class Axes:
 def axes_of(position: Array, rotation: Array, covariance: Array) -> Axes:
     """Return the axes of a pose, (3,) m in cam and R_cam_ball (3, 3), with covariance (6, 6) m, rad of `WandPose`."""
     omega, phi, kappa = to_euler(rotation)
-    angles = wrapped(np.array([-_QUARTER_TURN_RAD - kappa, omega - _QUARTER_TURN_RAD, phi]))
+    angles = wrap(np.array([-_QUARTER_TURN_RAD - kappa, omega - _QUARTER_TURN_RAD, phi]))
     if np.cos(phi) > _MIN_COS_PHI:
         J = np.linalg.inv(euler_rate_matrix(np.array([omega, phi, kappa])))
         variance = np.diag(J @ covariance[3:, 3:] @ J.T)[[2, 0, 1]]
@@ -51,6 +51,6 @@ def attitude(angles: Array) -> Array:
     return from_euler(np.array([pitch + _QUARTER_TURN_RAD, roll, -_QUARTER_TURN_RAD - yaw]))
 
 
-def wrapped(angles: Array) -> Array:
+def wrap(angles: Array) -> Array:
     """Wrap angles to (-pi, pi], rad."""
     return np.pi - (np.pi - angles) % (2.0 * np.pi)

@@ -65,7 +65,7 @@ def test_a_camera_that_stands(near):
     for k, image in enumerate(near.still[1:] * 3):
         _, shift = watching.target_shifts(watch, image)
         assert np.abs(shift).max() < 0.05
-        assert watching.displaced(shift, watching.DISPLACED_PX) is False
+        assert watching.most_have_moved(shift, watching.DISPLACED_PX) is False
         watch, odd = watching.check_next_target(watch, image, 0.3 * k, bump_suspected=k % 2 == 0)
         assert not odd
 
@@ -134,7 +134,7 @@ def test_people_in_front_say_nothing(near):
     watch, shift = watching.target_shifts(near.watch(), image)
     assert np.isnan(shift[:2]).all()
     assert not watch.seen[:2].any()
-    assert watching.displaced(shift, watching.DISPLACED_PX) is None
+    assert watching.most_have_moved(shift, watching.DISPLACED_PX) is None
 
 
 def test_what_is_no_target_is_not_kept(near):

@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, normalised
+from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, normalise
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.phases.method import SO3
 from spheremouse.ball.settings import Settings
@@ -134,7 +134,7 @@ def test_settings_fix_the_colours_and_a_change_of_them_is_followed():
     sim, frames = film("red-blue", seconds=1.0)
     fixed = Settings(discs=DiscSettings(weights=(-0.5, 0.0, 0.5)))
     states, events, *_ = run(sim, frames, fixed)
-    assert {s.colours.projection for s in states} == {normalised(np.array([-0.5, 0.0, 0.5]))}
+    assert {s.colours.projection for s in states} == {normalise(np.array([-0.5, 0.0, 0.5]))}
     assert not any(isinstance(e, DiscColours) for e in events)
     assert worst(states, frames) < np.radians(0.1)
     tracker = build(sim.scene.rig(), sim.scene.pose, fixed)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.capture import open_source, paced, section, video
+from spheremouse.capture import open_source, pace, section, video
 from spheremouse.errors import SpheremouseError
 from spheremouse.tracker import Frame
 
@@ -192,7 +192,7 @@ def test_real_time_holds_frames_back_by_their_stamps_and_drops_none(monkeypatch)
     image = np.zeros((1, 1), np.uint8)
     stamps = [5.0, 5.1, 5.2, 5.3]
     given = []
-    for frame, work in zip(paced(Frame(image, s, i) for i, s in enumerate(stamps)), [0.0, 0.25, 0.0, 0.0], strict=True):
+    for frame, work in zip(pace(Frame(image, s, i) for i, s in enumerate(stamps)), [0.0, 0.25, 0.0, 0.0], strict=True):
         given.append((frame.sequence, round(now[0], 9)))
         now[0] += work
     assert given == [(0, 100.0), (1, 100.1), (2, 100.35), (3, 100.35)]

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands.ctl import words as said_of
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.exchange import imported
+from spheremouse.files.exchange import import_settings
 from spheremouse.files.yaml import parse_document
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
@@ -304,8 +304,8 @@ def test_export_import_and_reset_set_what_differs(ctl, daemon, tmp_path):
 def test_an_import_sets_no_list_that_is_in_force():
     """A member of the group may not set `output`."""
     document = parse_document("output: [uinput, 'text:-']\n", "settings.yaml")
-    assert imported([{"key": "output", "value": ["uinput", "text:-"]}], document) == {}
-    assert imported([{"key": "output", "value": ["uinput"]}], document) == {"output": ("uinput", "text:-")}
+    assert import_settings([{"key": "output", "value": ["uinput", "text:-"]}], document) == {}
+    assert import_settings([{"key": "output", "value": ["uinput"]}], document) == {"output": ("uinput", "text:-")}
 
 
 # ---- save ----

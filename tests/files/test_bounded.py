@@ -140,7 +140,7 @@ def test_a_part_of_a_png_that_says_it_is_longer_than_the_file_is_refused():
 def test_header_and_decoder_agree_on_the_size(name):
     data = cv2.imencode(Path(name).suffix, np.arange(7 * 5 * 3, dtype=np.uint8).reshape(7, 5, 3))[1].tobytes()
     assert pictures.read_header(data, 35, to_the_end=True).size == (5, 7)
-    assert pictures.decoded(data).shape == (7, 5, 3)
+    assert pictures.decode(data).shape == (7, 5, 3)
 
 
 @pytest.mark.parametrize("text", ["8192x8192", "9" * 5000 + "x64"])
@@ -239,7 +239,7 @@ def test_few_of_many_problems_are_looked_up_and_the_rest_counted(monkeypatch):
     text = "command: status\n" + "".join(f"key_{i}: 1\n" for i in range(3000))
     document = yaml_file.parse_document(text, "x.yaml")
     with pytest.raises(ConfigurationError) as e:
-        validate.validated(document, Request)
+        validate.validate(document, Request)
     lines = str(e.value).splitlines()
     assert len(looked_up) == yaml_file.MAX_PROBLEMS
     assert lines[0].startswith("x.yaml:2: key_0: unknown key; ")

@@ -11,7 +11,7 @@ from spheremouse.ball.device import Axes, Distance
 from spheremouse.calibrate.board import parse_board, parse_length
 from spheremouse.calibrate.prints.sheets import TARGETS
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.files.device import device_template, load_device, untouched
+from spheremouse.files.device import device_template, is_untouched, load_device
 
 TEXT = """\
 targets:
@@ -99,11 +99,11 @@ def test_the_template_loads_and_its_examples_do_too(tmp_path):
     path = tmp_path / "device.yaml"
     path.write_text(device_template())
     assert load_device(path).distances == ()  # nothing that nobody measured
-    assert untouched(path)
+    assert is_untouched(path)
     filled = "\n".join(device_template().splitlines()[1:]).replace("distances: []\n# ", "")
     path.write_text(filled.replace("\n#   - {", "\n  - {").replace("\n# - {", "\n  - {"))
     device = load_device(path)
-    assert not untouched(path)
+    assert not is_untouched(path)
     assert len(device.distances) == 4
     assert dict(zip(device.ids, device.codes, strict=True)) == TARGETS  # the numbers on the printed ones
 

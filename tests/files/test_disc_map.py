@@ -11,7 +11,7 @@ from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.ball.detect.projection import CANDIDATES, GREY, normalised
+from spheremouse.ball.detect.projection import CANDIDATES, GREY, normalise
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
@@ -77,7 +77,7 @@ def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
     np.testing.assert_allclose(back, there, rtol=0, atol=1e-3 * np.linalg.norm(v * sigma, axis=1).max())
 
 
-@pytest.mark.parametrize("projection", [*CANDIDATES, normalised(np.array([-0.123456, 0.3, 0.7]))])
+@pytest.mark.parametrize("projection", [*CANDIDATES, normalise(np.array([-0.123456, 0.3, 0.7]))])
 def test_a_map_keeps_the_colours_of_its_discs(tmp_path, projection):
     path = tmp_path / "m.yaml"
     saved = saved_map(4)

@@ -15,7 +15,7 @@ from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop, render_layers
-from spheremouse.simulate.ball.events import Dimming, HandVisit, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.events import Dimming, HandVisit, Lift, bump, facing, move_disc
 from spheremouse.simulate.ball.film import Flicker, SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
@@ -358,9 +358,9 @@ def test_a_bumped_camera_moves_along_its_own_axes():
     scene = default_scene()
     point = np.array([[0.1, 0.2, 0.3]])
     before = scene.pose.to_cam(point)
-    after = bumped(scene, (2.0, -3.0, 4.0, 0.0, 0.0, 0.0)).pose.to_cam(point)
+    after = bump(scene, (2.0, -3.0, 4.0, 0.0, 0.0, 0.0)).pose.to_cam(point)
     assert np.allclose(after - before, [[-0.002, 0.003, -0.004]], atol=1e-12)
-    turned = bumped(scene, (0.0, 0.0, 0.0, 0.0, 0.5, 0.0)).pose
+    turned = bump(scene, (0.0, 0.0, 0.0, 0.0, 0.5, 0.0)).pose
     assert np.allclose(turned.position, scene.pose.position)
     x, _, z = turned.to_cam(scene.pose.position + scene.pose.rotation[:, 2])
     assert np.degrees(np.arctan2(x, z)) == pytest.approx(-0.5)  # a camera turned to the right sees things go left
@@ -393,7 +393,7 @@ def test_changes_come_when_they_are_due_and_stay():
 
 def test_a_disc_is_moved_to_where_there_is_room():
     scene = default_scene()
-    other = displaced(scene, 3)
+    other = move_disc(scene, 3)
     assert np.arccos(other.disc_directions[3] @ scene.disc_directions[3]) == pytest.approx(0.2)
     rest_of_them = np.delete(other.disc_directions, 3, axis=0)
     assert np.array_equal(rest_of_them, np.delete(scene.disc_directions, 3, axis=0))
@@ -401,7 +401,7 @@ def test_a_disc_is_moved_to_where_there_is_room():
     phase = np.linspace(0.0, 2.0 * np.pi, 60)
     around = np.stack([np.sin(0.2) * np.cos(phase), np.sin(0.2) * np.sin(phase), np.full(60, np.cos(0.2))], axis=1)
     with pytest.raises(ValueError, match="no room"):
-        displaced(replace(scene, disc_directions=np.vstack([[0.0, 0.0, 1.0], around])), 0)
+        move_disc(replace(scene, disc_directions=np.vstack([[0.0, 0.0, 1.0], around])), 0)
 
 
 def test_another_layout_is_another_ball_in_the_same_play():

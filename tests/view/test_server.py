@@ -545,7 +545,7 @@ def test_an_error_of_the_program_is_answered_too(page, monkeypatch, capfd):
     def fail(*_):
         raise TypeError("a fault")
 
-    monkeypatch.setattr("spheremouse.view.actions.exported", fail)
+    monkeypatch.setattr("spheremouse.view.actions.export_settings", fail)
     with Browser(page) as browser:
         assert "internal error (TypeError: a fault)" in act(browser, "export")["text"]
     assert "a fault" in capfd.readouterr().err

@@ -24,7 +24,7 @@ from spheremouse.ball.detect.projection import (
     NEGATIVE,
     Projection,
     colour_contrast,
-    normalised,
+    normalise,
     offset_of,
     projected,
     sample_weights_of,
@@ -113,7 +113,7 @@ class DiscSettings:
     def projection(self) -> Projection | None:
         """The configured projection of colours; None: the tracker determines it."""
         if self.weights:
-            return normalised(np.array(self.weights))
+            return normalise(np.array(self.weights))
         return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
 
 

@@ -39,7 +39,7 @@ GREY = Projection((0.114, 0.587, 0.299))  # ITU-R BT.601, as in OpenCV's grey
 NEGATIVE = Projection((-0.114, -0.587, -0.299))
 
 
-def normalised(weights: Array) -> Projection:
+def normalise(weights: Array) -> Projection:
     """Return the projection with weights proportional to `weights`, (3,), of which at least one is not 0."""
     blue, green, red = (weights / np.abs(weights).sum() + 0.0).tolist()  # no -0
     return Projection((blue, green, red))
@@ -49,7 +49,7 @@ def _candidates() -> tuple[Projection, ...]:
     single = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     differences = [axis - other for axis in np.eye(3) for other in np.eye(3) if axis is not other]
     apart = [d for d in differences if d.any()]
-    return (GREY, NEGATIVE, *(normalised(w) for w in single + apart))
+    return (GREY, NEGATIVE, *(normalise(w) for w in single + apart))
 
 
 CANDIDATES = _candidates()  # grey, each channel and each difference of two channels, with both signs
@@ -102,7 +102,7 @@ class ColourContrast(NamedTuple):
     @property
     def fisher(self) -> Projection:
         """The projection with the most signal to noise: w = S^-1 (m_ball - m_disc) (Fisher 1936)."""
-        return normalised(np.asarray(np.linalg.solve(self.covariance, self.difference), dtype=np.float64))
+        return normalise(np.asarray(np.linalg.solve(self.covariance, self.difference), dtype=np.float64))
 
 
 def colour_contrast(image: Image, mask: Image, found: Detections, diameter: float) -> ColourContrast | None:

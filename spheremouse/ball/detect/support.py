@@ -25,8 +25,8 @@ def disc_support(detector: DiscDetector, clipped: bool) -> Image:
     rows, columns = detector.window
     closing = 2 * int(np.ceil(0.75 * detector.model.diameter / f))
     smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1
-    wide = grown(detector.model.mask, f * (closing + smoothing + 1))
-    mask = grown(detector.model.mask, f * _FIT_BLOCK_PX)
+    wide = dilate(detector.model.mask, f * (closing + smoothing + 1))
+    mask = dilate(detector.model.mask, f * _FIT_BLOCK_PX)
     if clipped:
         mask[detector.window] |= wide[detector.window]
     else:
@@ -41,7 +41,7 @@ def with_noise_lines(mask: Image, rows: slice, columns: slice) -> Image:
     return mask
 
 
-def grown(mask: Image, radius_px: int) -> Image:
+def dilate(mask: Image, radius_px: int) -> Image:
     """Return a mask, (h, w), with all pixels up to `radius_px` beside its own."""
     side = 2 * radius_px + 1
     return np.asarray(cv2.dilate(mask, np.ones((side, side), np.uint8)), dtype=np.uint8)

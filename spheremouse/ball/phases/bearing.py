@@ -21,7 +21,7 @@ from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
-from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, corrected, with_doubtful_turn
+from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, OutlineCheck, Tracker, TrackState, lost
 
 _MAX_DRIFT = 5e-3  # rad, of the place of a disc that was found while the centre moved unseen
@@ -136,7 +136,7 @@ def _filtered_with_shift(
             predicted = _with_doubtful_map(predicted, drift)
         predicted = with_doubtful_turn(predicted, before.outline, tracker)
         predicted = tracker.filter.let_centre_move(predicted)
-        predicted = corrected(predicted, outline._replace(first=first))
+        predicted = correct_by_outline(predicted, outline._replace(first=first))
     state = follow(before, stamp, tracker, predicted)
     turned = 0.0 if unproven else check.turned
     check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=turned, home=check.home)

@@ -76,7 +76,7 @@ def _in_other_colours(phase: Phase) -> Phase:
             return phase
 
 
-def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[TrackState]:
+def refine_projection(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[TrackState]:
     """Return the step with Fisher's projection, if that gives more information than the present projection.
 
     The comparison takes place once, when a confirmed frame in colour shows enough discs and the ball has turned.

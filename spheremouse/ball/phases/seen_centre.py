@@ -61,11 +61,11 @@ def with_outline(
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
     check = check._replace(seen=seen, watched=check.watched + speed * (predicted.stamp - state.filter.stamp))
     if moves:
-        return state._replace(outline=check), corrected(predicted, check)
+        return state._replace(outline=check), correct_by_outline(predicted, check)
     return state._replace(outline=_compared_with_first(check)), predicted
 
 
-def corrected(predicted: So3State, check: OutlineCheck) -> So3State:
+def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:
     """Return the state corrected by the centre of the outline in the last frame, if it was measured."""
     seen, first = check.seen, check.first
     if seen is None:

@@ -8,7 +8,7 @@ from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.diagnosis import Absence, Cause, why_no_pattern
-from spheremouse.ball.detect.support import grown, with_noise_lines
+from spheremouse.ball.detect.support import dilate, with_noise_lines
 from spheremouse.ball.detector import Words
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
@@ -99,4 +99,4 @@ class Texture:
 
     def support_mask(self, rig: Rig, pose: Pose, settings: Settings) -> Image:
         window = texture_chart(rig, pose)[1].window
-        return with_noise_lines(grown(clear_mask(rig, pose), _BESIDE), *window)
+        return with_noise_lines(dilate(clear_mask(rig, pose), _BESIDE), *window)

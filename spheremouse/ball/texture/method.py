@@ -56,7 +56,7 @@ from spheremouse.ball.texture.picture import (
     weigh,
     without_past,
 )
-from spheremouse.ball.texture.picture_map import PictureMap, recall, recalled, resized, to_map
+from spheremouse.ball.texture.picture_map import PictureMap, recall, resize, state_from_map, to_map
 from spheremouse.ball.texture.search import (
     CLEAR,
     FRAMES_PER_SEARCH,
@@ -102,7 +102,7 @@ def detect_texture(
     detector: TextureDetector = tracker.detector_data
     before, recognises = state.search, isinstance(state.phase, Recognising)
     if isinstance(before, PictureMap):
-        before = recalled(detector, frame, before)
+        before = state_from_map(detector, frame, before)
     if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
         found, anchors = _detections(detector.fine, now.alignment, tracker, predicted)
@@ -166,7 +166,7 @@ def _with_contrast(
             levels.append(level._replace(seen=seen_again(view, level.seen, contrast, noise)))
         else:
             seen = without_past(first_seen(view, contrast))
-            levels.append(Level(seen, resized(level.picture, view.cells)))
+            levels.append(Level(seen, resize(level.picture, view.cells)))
     return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1])
 
 

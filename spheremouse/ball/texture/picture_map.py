@@ -159,14 +159,14 @@ def recall(state: TrackState[So3State], known: BallMap) -> TrackState[So3State]:
     return state._replace(phase=Recognising(), filter=so3_map.with_map(state.filter, known.parts), search=known)
 
 
-def recalled(detector: TextureDetector, frame: Frame, saved: PictureMap) -> TextureState:
+def state_from_map(detector: TextureDetector, frame: Frame, saved: PictureMap) -> TextureState:
     """Return the state of a detector that has a saved picture, before its first frame."""
     shown, light = detector.light(frame.image)
     grain = grain_of(detector.resampling, frame.image)
     levels = []
     for view, one, picture in zip(detector.views, shown, (saved.fine, saved.coarse), strict=True):
         seen = without_past(first_seen(view, contrast_of_samples(view, one)))
-        levels.append(Level(seen, resized(picture, view.cells)))
+        levels.append(Level(seen, resize(picture, view.cells)))
     fine, coarse = levels
     details = saved.details * len(detector.coarse.at)
     anywhere = np.eye(3)
@@ -185,7 +185,7 @@ def recalled(detector: TextureDetector, frame: Frame, saved: PictureMap) -> Text
     )
 
 
-def resized(picture: Picture, cells: int) -> Picture:
+def resize(picture: Picture, cells: int) -> Picture:
     """Return a picture with another number of cells along a face, a multiple of `TILE`."""
     if picture.value.shape[1] == cells:
         return picture
@@ -224,7 +224,7 @@ def look(picture: Picture, directions: Array) -> tuple[Array, Array]:
     return value.reshape(directions.shape[:-1]), weight.reshape(directions.shape[:-1])
 
 
-def unfolded(picture: Picture, width: int) -> Image:
+def unfold(picture: Picture, width: int) -> Image:
     """Return a picture by longitude and latitude in `ball`, (width / 2, width, 3) BGR; unknown cells are blue.
 
     The pole is Y, and Z is in the middle: longitude grows to the right, towards X.

@@ -27,7 +27,7 @@ from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.calibration_folder import DEFAULT
-from spheremouse.files.device import UNTOUCHED, load_device, untouched
+from spheremouse.files.device import UNTOUCHED, is_untouched, load_device
 from spheremouse.files.yaml import shown
 
 State = Literal["done", "too few", "not needed", "next", "later"]
@@ -186,7 +186,7 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: Otherwise) -> St
         device = load_device(path)
     except ConfigurationError as e:
         return Step(DEVICE_FILE, "next", "has mistakes", (*str(e).splitlines(), f"Correct this in {path}."))
-    if untouched(path):
+    if is_untouched(path):
         todo = (
             "Cut out the printed targets and discs. Glue three targets or more flat on the frame, in one plane and "
             "not in a line, and the discs all over the ball.",

@@ -24,7 +24,7 @@ from spheremouse.files.calibration_folder import (
     RIG_FILE,
     default_folder,
 )
-from spheremouse.files.device import untouched
+from spheremouse.files.device import is_untouched
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.yaml import read_document, without_schema
@@ -207,7 +207,7 @@ def device_command(folder: Path, *, again: bool = False) -> str:
 def rolling_command(folder: Path, *, again: bool = False) -> str:
     """Return the command that makes rig.yaml without photos of the device."""
     options: list[str | Path] = ["--source", _source(folder), "--camera", folder / CAMERA_FILE]
-    if (folder / DEVICE_FILE).exists() and not untouched(folder / DEVICE_FILE):  # its targets give the axes
+    if (folder / DEVICE_FILE).exists() and not is_untouched(folder / DEVICE_FILE):  # its targets give the axes
         options += ["--device", folder / DEVICE_FILE]
     return calibrate_command("rolling", *options, "--out", folder / RIG_FILE, again=again)
 

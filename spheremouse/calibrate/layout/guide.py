@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from spheremouse.calibrate.layout.choose import min_in_view, nearest, places, tape_step
-from spheremouse.files.report.page import page, rendered
+from spheremouse.files.report.page import page, render
 from spheremouse.files.report.style import styled
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.geometry.rotation import Array
@@ -40,7 +40,7 @@ def write_guide(path: Path, layout: Layout) -> None:
     distance, (first, second) = nearest(layout.directions)
     with styled({"axes.edgecolor": "black", "grid.color": "#999999", "grid.linewidth": 0.4}):
         drawing = _halves(layout)
-    guide = rendered(
+    guide = render(
         "spheremouse.calibrate.layout",
         "guide.html",
         discs=n,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from spheremouse.files.figures import figure_rows, photo_rows
-from spheremouse.files.report.page import page, rendered
+from spheremouse.files.report.page import page, render
 from spheremouse.files.report.style import styled
 from spheremouse.files.safe_files import write_atomically
 
@@ -31,7 +31,7 @@ def write_report(path: Path, content: Content, data: Any, provenance: Mapping[st
     """Write one HTML file that needs no other; `data` are the figures as JSON. ConfigurationError if that fails."""
     photos = list(photo_rows(data))
     with styled():
-        body = rendered(
+        body = render(
             "spheremouse.calibrate.report",
             "report.html",
             content=content,

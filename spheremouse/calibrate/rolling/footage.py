@@ -18,7 +18,7 @@ _COLOUR_EVERY = 0.25  # s
 _MAX_BYTES = 1_500_000_000  # in memory
 
 
-def recorded(source: str, at_most: float | None) -> Footage:
+def footage_of(source: str, at_most: float | None) -> Footage:
     """Return the first seconds of a source, or all, which is opened for each reading."""
 
     def frames(seconds: float | None) -> Iterator[Frame]:

@@ -97,7 +97,7 @@ def _format(value: Any) -> str:
 
 def _options_to_keep(plan: "RunConfig", given: tuple[str, ...], config: Path) -> dict[tuple[str, ...], Any]:
     """Return the command line's values that the configuration lacks, so that `run --config` needs nothing else."""
-    from spheremouse.files.config import assigned
+    from spheremouse.files.config import assigned_values
     from spheremouse.files.yaml import read_document
     from spheremouse.session.cameras import is_camera
 
@@ -106,7 +106,7 @@ def _options_to_keep(plan: "RunConfig", given: tuple[str, ...], config: Path) ->
             return tuple(map(relative, value))
         return os.path.relpath(value, config.parent) if isinstance(value, str) and os.path.isabs(value) else value
 
-    kept = assigned(plan.configuration, given)
+    kept = assigned_values(plan.configuration, given)
     kept |= {key: relative(kept[key]) for key in (("rig",), ("camera_file",), ("wand", "balls")) if key in kept}
     del kept["output",]
     kept.pop(("source",), None)

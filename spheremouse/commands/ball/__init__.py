@@ -77,7 +77,7 @@ def ball(*, options: BallOptions) -> None:
     """
     from spheremouse.calibrate.outline.find import find_outline
     from spheremouse.calibrate.outline.fit import fit_outline, pinhole, rays_of, rig_of, rotation_scale
-    from spheremouse.commands.ball.folder import check_folder, describe, drawn, next_steps, write_folder
+    from spheremouse.commands.ball.folder import check_folder, describe, draw_outline, next_steps, write_folder
     from spheremouse.files.rig import load_camera
     from spheremouse.tracker import Frame, check_size
 
@@ -100,7 +100,7 @@ def ball(*, options: BallOptions) -> None:
         outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
         check_points(points, outline, camera)
     rig = rig_of(outline, camera)
-    picture = drawn(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MAX_MARKS)])
+    picture = draw_outline(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MAX_MARKS)])
     write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
     print(describe(outline, rig))
     if known is None and o.vfov is None:

@@ -52,7 +52,7 @@ def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, settings: Se
     write_atomically(folder / CONFIG_FILE, "\n".join(lines) + "\n")
 
 
-def drawn(image: Image, outline: Array, marks: Iterable[Array], masks: Sequence[Polygon] = ()) -> Image:
+def draw_outline(image: Image, outline: Array, marks: Iterable[Array], masks: Sequence[Polygon] = ()) -> Image:
     """Return a picture with the outline of the ball, points that it fits, and masks, (n, 2) px."""
     scale = max(1, round(_PICTURE_WIDTH_PX / image.shape[1]))
     canvas = canvas_of(image, scale)

@@ -63,7 +63,7 @@ def device(
     from spheremouse.commands.config import root
     from spheremouse.files.ball_map import map_path, save_map, saved_now
     from spheremouse.files.config import in_force
-    from spheremouse.files.device import UNTOUCHED, load_device, untouched
+    from spheremouse.files.device import UNTOUCHED, is_untouched, load_device
     from spheremouse.files.rig import load_camera, save_rig
 
     report_file, map_file = report or out.with_suffix(".html"), map_path(out)
@@ -72,7 +72,7 @@ def device(
     check_outputs(outputs, [*photos, device_file, camera_file, config], force=force)
     _check_inputs(device_file, camera_file)
     described, camera = load_device(device_file), load_camera(camera_file)
-    if untouched(device_file):
+    if is_untouched(device_file):
         raise CalibrationError(
             f"{device_file}: not filled in yet; enter your targets and distances, then delete its first line "
             f"({UNTOUCHED.partition(':')[0]} ...); if it is all true of your device already, delete that line alone"

@@ -97,12 +97,12 @@ def photos(
 
 def _save_settings(config: Path, source: str | None, configured: "Configuration", settings: Sequence[str]) -> None:
     """Write the camera and its controls into the folder's configuration, for the commands that follow."""
-    from spheremouse.files.config import assigned
+    from spheremouse.files.config import assigned_values
     from spheremouse.files.edit import save_settings
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.settings import Configuration
 
-    given = assigned(configured, settings)
+    given = assigned_values(configured, settings)
     if source is not None and is_camera(source):
         given["source",] = source
     if given:
@@ -119,7 +119,7 @@ def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Si
     from spheremouse.calibrate.guide.folder import init_command, photos_command
     from spheremouse.calibrate.outputs import note
     from spheremouse.calibrate.photographing.device import DeviceSelector
-    from spheremouse.files.device import load_device, untouched
+    from spheremouse.files.device import is_untouched, load_device
     from spheremouse.files.pictures import px
     from spheremouse.files.rig import load_camera
 
@@ -131,7 +131,7 @@ def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Si
             f"{lens}: no such file; photos of the board come first: {photos_command(folder, 'camera')}"
         )
     device, camera = load_device(known), load_camera(lens)
-    if untouched(known):
+    if is_untouched(known):
         note(f"{known}: still as `calibrate init` wrote it; are these your targets?")
 
     def begin(size: "Size") -> "Selector":

@@ -66,7 +66,7 @@ def rolling(
     from spheremouse.calibrate.board import parse_length
     from spheremouse.calibrate.report.rolling import rolling_json
     from spheremouse.calibrate.rolling.calibrate import solve
-    from spheremouse.calibrate.rolling.footage import recorded
+    from spheremouse.calibrate.rolling.footage import footage_of
     from spheremouse.calibrate.rolling.rig import AxesFrom, Lengths, build_rig, disc_angle
     from spheremouse.capture import full_spec, open_source
     from spheremouse.commands.terminal import progress_bar
@@ -104,7 +104,7 @@ def rolling(
     axes = AxesFrom(aligning, targets, gestures, interior)
     if not live:
         axes.check()
-    footage = recorded(source, seconds)
+    footage = footage_of(source, seconds)
     if live:
         buffer, shown = _film(source, seconds or 60.0, ask=not axes.known)
         footage, axes = buffer.frames, axes if shown is None else replace(axes, gestures=shown)

@@ -128,9 +128,9 @@ def reset(
 @app.command()
 def export(socket: Socket = None) -> None:
     """Print the settings that differ from their defaults, as a configuration file."""
-    from spheremouse.files.exchange import exported
+    from spheremouse.files.exchange import export_settings
 
-    typer.echo(exported(_ask(socket, "settings")["settings"]), nl=False)
+    typer.echo(export_settings(_ask(socket, "settings")["settings"]), nl=False)
 
 
 @app.command("import")
@@ -140,10 +140,10 @@ def import_(
     socket: Socket = None,
 ) -> None:
     """Set the parameters in a file that `export` wrote, as `set` does."""
-    from spheremouse.files.exchange import imported
+    from spheremouse.files.exchange import import_settings
     from spheremouse.files.yaml import read_document
 
-    _set_all(socket, imported(_ask(socket, "settings")["settings"], read_document(file)), as_json)
+    _set_all(socket, import_settings(_ask(socket, "settings")["settings"], read_document(file)), as_json)
 
 
 def _set_all(socket: Path | None, values: dict[str, Any], as_json: bool) -> None:
@@ -211,7 +211,8 @@ def _write(file: Path, changes: list[str]) -> dict[str, Any]:
     from spheremouse.session.settings import Configuration
 
     if changes:
-        save_settings(file, config.assigned(config.in_force(file, changes, Configuration), changes), Configuration)
+        settings = config.in_force(file, changes, Configuration)
+        save_settings(file, config.assigned_values(settings, changes), Configuration)
     return {"file": str(file), "saved": changes}
 
 

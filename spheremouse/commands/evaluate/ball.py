@@ -23,9 +23,9 @@ from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.session.ball.map_keeper import open_map
-from spheremouse.session.evaluate import BallRun, FurtherCamera, ball_reports, joined, numbered_frames, rig_of, run_ball
+from spheremouse.session.evaluate import BallRun, FurtherCamera, ball_reports, join, numbered_frames, rig_of, run_ball
 from spheremouse.session.settings import Configuration
-from spheremouse.simulate.ball.events import degraded
+from spheremouse.simulate.ball.events import degrade
 
 _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked, NIS and times"
 
@@ -39,7 +39,7 @@ class _Track(NamedTuple):
     @property
     def truth(self) -> Recording:
         """The recording that has the truth of all frames."""
-        return self.recording if self.beside is None else joined(self.recording, self.beside)
+        return self.recording if self.beside is None else join(self.recording, self.beside)
 
 
 def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
@@ -119,7 +119,7 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
     others = []
     if beside is not None:
         seen = section(numbered_frames(beside, recording.frames), options.begin, options.end)
-        seen = degraded(iter(seen), options.noise, options.brightness)
+        seen = degrade(iter(seen), options.noise, options.brightness)
         others.append(FurtherCamera(seen, _with_pose(beside.rig, beside, options), beside.turn))
     since = recording.seconds - recording.seconds[0]
     total = int(np.count_nonzero((since >= options.begin) & (since < options.end)))
@@ -129,7 +129,7 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
         frames = progress.track(numbered, total, task_id=task)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
         run = run_ball(
-            degraded(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append, others
+            degrade(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append, others
         )
     for text in passed_over:
         err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)

@@ -282,7 +282,7 @@ def follow(
         sources = [stack.enter_context(each) for each in (setup.source, setup.second) if each is not None]
         adapter = setup.adapter(plan, view.log, here)
         stack.callback(adapter.close)
-        targets = offline.opened(plan.outputs, stack, view)
+        targets = offline.open_outputs(plan.outputs, stack, view)
         for output in targets.values():
             output.begin(lambda: describe_run(plan) | {"smoothed": smooth})
         for notice in filter(None, map(left_out, plan.outputs)):

@@ -36,7 +36,7 @@ def check_files(place: Place) -> Finding:
         # a program that cannot be the service's did not place these files, so their text may differ
         if not os.path.lexists(path):
             missing.append(path)
-        elif not trouble and service.differs(path, service.rendered(name, program)):
+        elif not trouble and service.differs(path, service.render_file(name, program)):
             other.append(path)
     config = place.configuration / "config.yaml"
     missing += [] if os.path.lexists(config) else [config]

@@ -208,7 +208,7 @@ def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[F
     If network addresses are given in `allow`, they replace those of the last installation.
     """
     fresh = [unit for unit in place.units if not unit.exists()]
-    texts = {path: rendered(name, program) for name, path in place.files()}
+    texts = {path: render_file(name, program) for name, path in place.files()}
     if allow:
         texts[place.network] = network_text(allow)
     for path, text in texts.items():
@@ -258,7 +258,7 @@ def differs(path: Path, text: str) -> bool:
         return True
 
 
-def rendered(name: str, program: str) -> str:
+def render_file(name: str, program: str) -> str:
     """Return the text of a file to install, with the program's path."""
     return _MARK + (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
 

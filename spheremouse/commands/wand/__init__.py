@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.commands.options import with_fields
-from spheremouse.commands.simulate import written
+from spheremouse.commands.simulate import write_film
 from spheremouse.errors import ConfigurationError, os_errors_as
 from spheremouse.simulate.wand.options import WandOptions
 
@@ -43,7 +43,7 @@ def simulate(
     from spheremouse.simulate.wand.film import prepare_wand
 
     film = prepare_wand(options, None if wand is None else load_wand(wand).ball)
-    megabytes = written(folder, film.frames, write_wand(folder, film, replace=force))
+    megabytes = write_film(folder, film.frames, write_wand(folder, film, replace=force))
     camera = film.scene.camera
     print(
         f"{folder}: {film.frames} frame{'' if film.frames == 1 else 's'} of {camera.width}x{camera.height} at "
@@ -120,7 +120,7 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
     """
     from spheremouse.files.dataset.frames import read_frames
     from spheremouse.files.dataset.wand import open_wand
-    from spheremouse.files.pictures import FRAME_PIXELS, MAX_BYTES, decoded, read_header
+    from spheremouse.files.pictures import FRAME_PIXELS, MAX_BYTES, decode, read_header
     from spheremouse.files.safe_files import read_bytes
 
     if path.is_dir():
@@ -130,7 +130,7 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
     with os_errors_as(ConfigurationError, f"{path}"):
         data = read_bytes(path, MAX_BYTES, "picture")
         read_header(data, FRAME_PIXELS)
-        image = decoded(data, upright=True)
+        image = decode(data, upright=True)
     if min(image.shape[:2]) < 32:
         raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
     return image

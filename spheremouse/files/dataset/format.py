@@ -12,7 +12,7 @@ from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files import plain_json
 from spheremouse.files.pictures import FRAME_PIXELS
 from spheremouse.files.safe_files import read_text
-from spheremouse.files.validate import Part, validated
+from spheremouse.files.validate import Part, validate
 from spheremouse.files.yaml import Document, refuse_control_characters
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
@@ -89,14 +89,14 @@ def read_json(path: Path) -> Document:
         raise DatasetError(f"{path}: cannot be read ({e})") from None
     except ValueError as e:
         line = f", line {e.lineno}" if isinstance(e, json.JSONDecodeError) else ""
-        raise DatasetError(f"{path}{line}: not valid JSON ({plain_json.said(e)})") from None
+        raise DatasetError(f"{path}{line}: not valid JSON ({plain_json.message_of(e)})") from None
 
 
 def described(document: Document, kind: type[Scene]) -> Scene:
     """Return scene.json as this kind of description; DatasetError has a line for each invalid key."""
     try:
         refuse_control_characters(document)
-        return validated(document, kind)
+        return validate(document, kind)
     except ConfigurationError as e:
         raise DatasetError(str(e)) from None
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError, os_errors_as
 from spheremouse.files.dataset.format import STAMP_COLUMNS, check_frames
-from spheremouse.files.pictures import FRAME_PIXELS, decoded, film_images, film_size, open_film, px, read_header
+from spheremouse.files.pictures import FRAME_PIXELS, decode, film_images, film_size, open_film, px, read_header
 from spheremouse.files.pictures import MAX_BYTES as PICTURE_BYTES
 from spheremouse.files.safe_files import read_bytes
 from spheremouse.files.tables import read_columns
@@ -151,4 +151,4 @@ def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         header = read_header(data, FRAME_PIXELS)
         if header.size != size:
             raise DatasetError(f"{file}: is {px(header.size)}, but scene.json has {px(size)}")
-        return decoded(data)
+        return decode(data)

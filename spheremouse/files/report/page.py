@@ -20,10 +20,10 @@ _PACKAGE = "spheremouse.files.report"
 def page(title: str, lead: str, body: Markup, foot: str = "", paper: str | None = None) -> str:
     """Return the whole file; for a `paper` ("A4", "Letter") a handout to print on it."""
     given = {"title": title, "lead": lead, "body": body, "foot": foot, "paper": paper}
-    return str(rendered(_PACKAGE, "page.html", **given)) + "\n"
+    return str(render(_PACKAGE, "page.html", **given)) + "\n"
 
 
-def rendered(package: str, name: str, **values: object) -> Markup:
+def render(package: str, name: str, **values: object) -> Markup:
     """Return a template of a package with values put in."""
     return Markup(_templates(package).get_template(name).render(values))
 

@@ -22,7 +22,7 @@ from spheremouse.output.serial.messages import (
     hello,
     motion,
     parse,
-    signed,
+    to_signed,
 )
 
 STEP_LIMIT = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
@@ -65,7 +65,7 @@ class _Targets:
 
     def acknowledge(self, number: int, confirmed: list[int]) -> None:
         """Remove older targets than an answer's. The device may still be on the way to the answered one."""
-        while self._pending and signed(self._pending[0][0] - number) < 0:
+        while self._pending and to_signed(self._pending[0][0] - number) < 0:
             self._pending.popleft()
         if self._pending and self._pending[0] == (number, confirmed, confirmed):
             self._pending.popleft()
@@ -339,7 +339,7 @@ class Link:
         if ack.number in self._in_flight:
             self._round_trips.append(now - self._in_flight[ack.number])
         self._answered = ack.number
-        for number in [n for n in self._in_flight if signed(n - ack.number) <= 0]:
+        for number in [n for n in self._in_flight if to_signed(n - ack.number) <= 0]:
             del self._in_flight[number]
         before = list(self.confirmed)
         self._confirm(ack.counters)
@@ -350,7 +350,7 @@ class Link:
     def _confirm(self, counters: Sequence[int]) -> None:
         """Add the growth of the device's counters, modulo 2^16, to the confirmed counts."""
         self.confirmed = [
-            c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
+            c + to_signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
         ]
         self._acknowledged = list(counters)
 

@@ -172,6 +172,6 @@ class Splitter:
         self._rest = b"" if self._too_long else rest
 
 
-def signed(difference: int) -> int:
+def to_signed(difference: int) -> int:
     """Return a difference modulo 2^16 as a number from -32768 to 32767."""
     return (difference + 0x8000 & 0xFFFF) - 0x8000

@@ -26,7 +26,7 @@ from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.ball.camera import PosedCamera
 from spheremouse.session.ball.map_keeper import MapKeeper, Newest
-from spheremouse.session.ball.recorded import ball_subject, kept, sought
+from spheremouse.session.ball.recorded import ball_subject, draw_target_search, recorded_mask
 from spheremouse.session.ball.search import BallMessages
 from spheremouse.session.control.status import PoseStatus, TrackerStatus
 from spheremouse.session.directions import of_ball
@@ -337,11 +337,11 @@ class BallAdapter(TrackerAdapter):
     def picture(self, result: FrameResult, counts: Counts, everything: bool) -> Callable[[], Image]:
         tracker = self._tracker_of(self._shown)
         assert tracker is not None
-        keep = None if everything else partial(kept, tracker.rig, tracker.pose, self.settings)
+        keep = None if everything else partial(recorded_mask, tracker.rig, tracker.pose, self.settings)
         return picture_of(result, self.annotations(result), counts, keep)
 
     def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
-        return partial(sought, frame.image.copy(), self._shown.rig, self.settings, everything=everything)
+        return partial(draw_target_search, frame.image.copy(), self._shown.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
         why = self.waiting if self.untracked else unused or "the source gave no frame"

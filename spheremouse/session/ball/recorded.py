@@ -27,7 +27,7 @@ _SEARCH_REACH_PX = 3  # px of a target's reduced patch: its search window in an 
 _RING_MARGIN_PX = 6  # px, and a quarter of the patch: around a target whose rings are measured (watch)
 
 
-def kept(rig: Rig, pose: Pose, settings: Settings) -> Image:
+def recorded_mask(rig: Rig, pose: Pose, settings: Settings) -> Image:
     """Return the mask of a recording, (h, w) uint8: 255 for pixels that it keeps, 0 for black ones.
 
     It holds for a camera pose and a tracker with these settings. Raises PoseError if the ball is not in view.
@@ -58,13 +58,13 @@ def ball_subject(rig: Rig, pose: Pose, settings: Configuration) -> Subject:
         camera=rig.camera,
         view=pose,
         parts="the ball and the targets",
-        kept=lambda: kept(rig, pose, settings),
+        kept=lambda: recorded_mask(rig, pose, settings),
         scene=lambda: {**device_description(rig), "T_obj_cam": pose.matrix().tolist()},
         files=lambda: {"rig.yaml": rig_text(replace(rig, pose=pose)), "config.yaml": configuration_text(settings)},
     )
 
 
-def sought(image: Image, rig: Rig, settings: Configuration, *, everything: bool = False) -> Image:
+def draw_target_search(image: Image, rig: Rig, settings: Configuration, *, everything: bool = False) -> Image:
     """Draw the targets that are found in a picture, and the rejected candidates with the reason.
 
     The rest is in coarse blocks, unless `everything`. It takes some tenths of a second, in which the image must not

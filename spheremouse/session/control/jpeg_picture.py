@@ -19,7 +19,7 @@ _Outline = tuple[tuple[float, ...], ...]  # of x, y in px
 _Square = tuple[tuple[int, int], tuple[int, int]]
 
 
-def encoded(image: Image) -> bytes:
+def encode_jpeg(image: Image) -> bytes:
     """Return a JPEG of grey values (h, w, 1), or BGR (h, w, 3)."""
     colours = "GRAY" if image.shape[2] == 1 else "BGR"
     return simplejpeg.encode_jpeg(
@@ -41,13 +41,13 @@ class JpegPicture:
             return bytes(picture.pixels)
         if picture.format in ("yuyv", "nv12"):
             return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY, fastdct=True)
-        return encoded(_pixels(picture))
+        return encode_jpeg(_pixels(picture))
 
     @cached_property
     def masked(self) -> bytes:
         """JPEG of ball and targets alone; all else is black. Empty if the camera's picture is damaged."""
         try:
-            return encoded(mask(_pixels(self.picture), self.picture.annotations or {}))
+            return encode_jpeg(mask(_pixels(self.picture), self.picture.annotations or {}))
         except ValueError:
             return b""
 

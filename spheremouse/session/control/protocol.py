@@ -12,7 +12,7 @@ from pydantic_core import to_jsonable_python
 
 from spheremouse.errors import ConfigurationError, ControlError, one_line
 from spheremouse.files import plain_json
-from spheremouse.files.validate import nearest, validated
+from spheremouse.files.validate import nearest, validate
 from spheremouse.files.yaml import Document
 
 MAX_LINE = 65536  # bytes of a message, with its end of line
@@ -150,7 +150,7 @@ def parse(line: bytes) -> Request:
         name = one_line(repr(command))
         raise BadRequestError(f"unknown command {name}; {nearest(command[:60], COMMANDS)}", id_)
     try:
-        request = validated(Document("", data), _REQUESTS[command])
+        request = validate(Document("", data), _REQUESTS[command])
     except ConfigurationError as e:
         raise BadRequestError(f"{command}: {'; '.join(str(e).splitlines())}"[:500], id_) from None
     if isinstance(request, Record) and request.stop and request.model_fields_set - {"command", "id", "stop"}:

@@ -82,7 +82,7 @@ class Change:
     disc: int | None = None
 
 
-def bumped(scene: Scene, by: tuple[float, float, float, float, float, float]) -> Scene:
+def bump(scene: Scene, by: tuple[float, float, float, float, float, float]) -> Scene:
     """The camera pushed by `by`[:3] mm, times the scale, then turned by `by`[3:] degrees, along its own x, y, z."""
     pose = scene.pose
     shift, turn = 1e-3 * scene.scale * np.array(by[:3]), np.radians(by[3:])
@@ -97,7 +97,7 @@ def facing(scene: Scene, attitude: Array) -> int:
     return int(np.argmax(cosine))
 
 
-def displaced(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
+def move_disc(scene: Scene, disc: int, angle: float = 0.2) -> Scene:
     """Return the scene with the disc of an index moved by `angle` rad, to the side where the nearest disc is farthest.
 
     Raises ValueError if the centres of the two would be less than 2.5 radii of a disc apart. Fallen discs do not count.
@@ -218,7 +218,7 @@ def hand_in_picture(
 _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 
 
-def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
+def degrade(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
     """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
     for frame in frames:
         if noise == 0.0 and brightness == 0.0:

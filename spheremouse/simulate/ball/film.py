@@ -11,7 +11,7 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.settings import option_name
-from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bumped, displaced, facing
+from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bump, facing, move_disc
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds
 from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.ball.profile import (
@@ -168,11 +168,11 @@ def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: 
     for what, time in sorted(((w, t) for w, t in times.items() if t is not None), key=lambda item: item[1]):
         disc = None
         if what == "bump":
-            scene = bumped(scene, options.bump_by)
+            scene = bump(scene, options.bump_by)
         else:
             disc = facing(scene, profile.attitude(np.array([time]))[0])
             try:
-                scene = replace(scene, fallen=(*scene.fallen, disc)) if what == "disc off" else displaced(scene, disc)
+                scene = replace(scene, fallen=(*scene.fallen, disc)) if what == "disc off" else move_disc(scene, disc)
             except ValueError as e:
                 raise ConfigurationError(f"{named('disc_moved')}: {e}") from None
         changes.append(Change(time, scene, what, disc))

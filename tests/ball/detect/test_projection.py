@@ -13,7 +13,7 @@ from spheremouse.ball.detect.projection import (
     GREY,
     NEGATIVE,
     colour_contrast,
-    normalised,
+    normalise,
     offset_of,
     projected,
     weights_of,
@@ -82,7 +82,7 @@ def test_fisher_weights_are_those_of_the_noise_whatever_the_slope_of_the_light(d
     mask[:, 222:] = 0  # the room, half of it white
     image[::2, 222:] = 255
     contrast = colour_contrast(image, mask, found, 12.0)
-    ideal = normalised(np.linalg.solve(covariance + np.eye(3) / 12.0, np.array(difference)))
+    ideal = normalise(np.linalg.solve(covariance + np.eye(3) / 12.0, np.array(difference)))
     assert contrast is not None
     assert_allclose(contrast.fisher.weights, ideal.weights, atol=0.05)
 
@@ -118,7 +118,7 @@ def test_no_projection_has_much_more_signal_over_noise_than_the_one_chosen(pair)
 def test_black_on_white_stays_grey_and_what_is_nearly_as_good_stays():
     for seed in range(5):
         assert best_projection(picture("white-black", 4.0, seed), DETECTOR, GREY)[0] == GREY
-        green = normalised(np.array([0.0, 1.0, 0.0]))
+        green = normalise(np.array([0.0, 1.0, 0.0]))
         assert best_projection(picture("white-black", 4.0, seed), DETECTOR, green)[0] == green
 
 
@@ -151,7 +151,7 @@ def test_the_settings_fix_the_projection():
     assert DiscSettings().projection is None
     assert DiscSettings(polarity="dark").projection == GREY
     assert DiscSettings(polarity="light").projection == NEGATIVE
-    assert DiscSettings(weights=(-1.0, 0.0, 1.0)).projection == normalised(np.array([-1.0, 0.0, 1.0]))
+    assert DiscSettings(weights=(-1.0, 0.0, 1.0)).projection == normalise(np.array([-1.0, 0.0, 1.0]))
     for wrong in ({"weights": (1.0, 0.0)}, {"weights": (0.0, 0.0, 0.0)}, {"weights": (0, 1, 0), "polarity": "light"}):
         with pytest.raises(ValueError, match=r"^weights: "):
             DiscSettings(**wrong)

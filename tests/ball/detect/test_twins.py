@@ -11,7 +11,7 @@ from ray_cast import CLEAN, DISCS, POSE, RIG, looking_at, photo
 from spheremouse.ball.detect.appearance import appearance, seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
-from spheremouse.ball.detect.projection import GREY, normalised
+from spheremouse.ball.detect.projection import GREY, normalise
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.detect.windows import AT_REST, FitSettings, Motion
 from spheremouse.ball.rig import view_of
@@ -126,7 +126,7 @@ def test_discs_are_measured_where_and_how_they_are_seen(exposure):
         assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
 
 
-@pytest.mark.parametrize("projection", [GREY, normalised(np.array([-1.0, 2.0, 1.0]))])
+@pytest.mark.parametrize("projection", [GREY, normalise(np.array([-1.0, 2.0, 1.0]))])
 def test_a_search_is_that_of_the_twin(projection):
     rng = np.random.default_rng(2)
     model, count = DETECTOR.with_projection(projection).model, 0

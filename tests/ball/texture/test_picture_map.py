@@ -10,7 +10,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Found, NewMap, Recognised
 from spheremouse.ball.texture.method import TEXTURE
 from spheremouse.ball.texture.picture import anchor_directions
-from spheremouse.ball.texture.picture_map import PictureMap, look, resized, unfolded
+from spheremouse.ball.texture.picture_map import PictureMap, look, resize, unfold
 from spheremouse.ball.track import step
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
@@ -82,25 +82,25 @@ def test_an_unfolded_picture_has_y_above_z_in_the_middle_and_x_right_of_it():
     x = cell_directions(picture.value.shape[1])
     for axis, row, column in ((1, 0, 180), (2, 90, 180), (0, 90, 270)):
         spot = picture._replace(value=np.where(x[..., axis] > 0.9, 0.3, 0.0).astype(np.float32))
-        image = unfolded(spot, 360)
+        image = unfold(spot, 360)
         assert image.shape == (180, 360, 3)
         assert (image[row, column] == image[row, column, 0]).all()
         assert image[row, column, 0] > 200
         assert image[179 - row, (column + 180) % 360, 0] == 128
-    nothing = unfolded(picture._replace(weight=np.zeros_like(picture.weight)), 360)
+    nothing = unfold(picture._replace(weight=np.zeros_like(picture.weight)), 360)
     assert (nothing[..., 0] != nothing[..., 1]).all()
 
 
 @pytest.mark.parametrize("cells", [160, 104, 240])
 def test_a_picture_with_other_cells_shows_the_same(cells):
     picture = a_map(waves(4)).fine
-    other = resized(picture, cells)
+    other = resize(picture, cells)
     assert other.value.shape == (6, cells, cells)
     x = np.random.default_rng(4).normal(size=(500, 3))
     before, after = (look(p, x)[0] for p in (picture, other))
     assert np.corrcoef(before, after)[0, 1] > 0.8
     half = picture._replace(weight=np.where(np.arange(picture.value.shape[2]) < 50, picture.weight, 0.0))
-    seen = resized(half, cells).weight[0, 0] > 0.0
+    seen = resize(half, cells).weight[0, 0] > 0.0
     edge = (50 * 2.0 / picture.value.shape[2] - 1.0) * HALF
     at = (2.0 * (np.arange(cells) + 0.5) / cells - 1.0) * HALF
     assert not seen[at > edge + 0.01].any()

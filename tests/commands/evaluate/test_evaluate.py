@@ -44,7 +44,7 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import rotation_between, tangent_basis
 from spheremouse.output.counts import MotionSettings
-from spheremouse.simulate.ball.events import degraded
+from spheremouse.simulate.ball.events import degrade
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.to_dataset import write_simulation
 from spheremouse.tracker import Frame, Status
@@ -654,13 +654,13 @@ def test_a_recording_that_fails_does_not_take_the_others_along(spheremouse, film
 def test_added_noise_and_brightness():
     image = np.full((200, 200, 3), 100, np.uint8)
     frames = [Frame(image, 0.0, 0), Frame(image, 1.0, 1), Frame(image, 0.0, 0)]
-    a, b, again = (f.image.astype(float) for f in degraded(iter(frames), 10.0, 50.0))
+    a, b, again = (f.image.astype(float) for f in degrade(iter(frames), 10.0, 50.0))
     assert a.mean() == pytest.approx(150.0, abs=0.2)
     assert a.std() == pytest.approx(10.0, abs=0.2)
     assert np.corrcoef(a[..., 0].ravel(), a[..., 1].ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
     assert np.corrcoef(a.ravel(), b.ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
     assert np.array_equal(a, again)
-    (dark,) = degraded(iter(frames[:1]), 0.0, -120.0)
+    (dark,) = degrade(iter(frames[:1]), 0.0, -120.0)
     assert not dark.image.any()
 
 

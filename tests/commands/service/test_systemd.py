@@ -332,7 +332,7 @@ def test_a_path_that_systemd_would_read_otherwise_is_refused(folder, monkeypatch
 
 
 def unit(name="systemd/spheremouse.service"):
-    return service.rendered(name, "/bin/true")
+    return service.render_file(name, "/bin/true")
 
 
 @pytest.mark.parametrize("name", ["systemd/spheremouse.service", "systemd/spheremouse-user.service"])
@@ -464,7 +464,7 @@ def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
 
 def test_the_tray_starts_with_a_desktop(tmp_path):
     path = tmp_path / "spheremouse-tray.desktop"
-    path.write_text(service.rendered("desktop/spheremouse-tray.desktop", "/bin/true"))
+    path.write_text(service.render_file("desktop/spheremouse-tray.desktop", "/bin/true"))
     code, said = judged("desktop-file-validate", str(path))
     assert (code, said) == (0, "")
 

@@ -6,14 +6,14 @@ import pytest
 from elements import Elements
 from markupsafe import Markup
 
-from spheremouse.files.report.page import page, rendered
+from spheremouse.files.report.page import page, render
 from spheremouse.files.report.style import GRID, INK, MUTED, round_number, styled
 
 HOSTILE = """<i onclick="x">'&amp;' {{ 7 * 7 }} </script></style>"""
 
 
 def every_block():
-    return rendered("tests.files.report", "every_block.html", words=HOSTILE, data=b"")
+    return render("tests.files.report", "every_block.html", words=HOSTILE, data=b"")
 
 
 def test_hostile_words_are_words():
@@ -38,7 +38,7 @@ def test_a_handout_names_its_paper_and_a_report_none():
 
 def test_a_word_that_a_template_needs_and_does_not_get_is_an_error():
     with pytest.raises(Exception, match="undefined"):
-        rendered("spheremouse.files.report", "page.html", title="t")
+        render("spheremouse.files.report", "page.html", title="t")
 
 
 mpl = pytest.importorskip("matplotlib")

@@ -17,7 +17,7 @@ from spheremouse.commands import app
 from spheremouse.files.dataset.write import TruthWriter, dataset_folder
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.ball.recorded import kept
+from spheremouse.session.ball.recorded import recorded_mask
 from spheremouse.session.offline import track
 from spheremouse.session.overlay.pen import masked
 from spheremouse.session.settings import Configuration
@@ -129,7 +129,7 @@ def test_status_marks_and_log_show_its_points_in_its_words(name):
 
 def test_a_masked_recording_gives_the_same_track(name):
     rig, frames, _ = film(name)
-    tracker, keep = build(rig, rig.pose, settings_of(name)), kept(rig, rig.pose, settings_of(name))
+    tracker, keep = build(rig, rig.pose, settings_of(name)), recorded_mask(rig, rig.pose, settings_of(name))
     black = [replace(frame, image=masked(frame.image, keep)) for frame in frames]
     for was, now in zip(track(iter(frames), tracker), track(iter(black), tracker), strict=True):
         np.testing.assert_array_equal(was.estimate.rotation, now.estimate.rotation)

@@ -19,7 +19,7 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.ball.recorded import kept
+from spheremouse.session.ball.recorded import recorded_mask
 from spheremouse.session.offline import initialise, track
 from spheremouse.session.overlay.pen import masked
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
@@ -74,7 +74,7 @@ def test_a_masked_film_says_the_same_to_the_last_bit(name, grey):
     pose = initialise(iter(frames), rig, settings).pose  # needs colour
     if grey:
         frames = [replace(f, image=cv2.cvtColor(f.image, cv2.COLOR_BGR2GRAY)) for f in frames]
-    differ, epochs = differences(frames, kept(rig, pose, settings), rig, pose, settings)
+    differ, epochs = differences(frames, recorded_mask(rig, pose, settings), rig, pose, settings)
     assert differ == []
     # There was motion to send
     assert np.any(counts_of([e.estimate for e in epochs], rig), axis=1).sum() > len(epochs) // 6
@@ -84,7 +84,7 @@ def test_the_reference_recording_masked_says_the_same_and_needs_the_margins(far2
     recording = open_dataset(far26)
     rig, pose = recording.rig, recording.pose
     frames = [frame for frame, _ in zip(read_frames(recording), range(100), strict=False)]
-    keep = kept(rig, pose, Settings())
+    keep = recorded_mask(rig, pose, Settings())
     assert differences(frames, keep, rig, pose, Settings())[0] == []
     bare = ball_mask(rig, pose)  # the outline alone is not enough: this test can see a margin that is missing
     assert len(differences(frames[:10], bare, rig, pose, Settings())[0]) > 5
@@ -114,7 +114,7 @@ def test_discs_at_the_limb_are_found_alike_and_need_the_reach_of_the_closing(vie
     scene = default_scene(view=view)
     rig, pose = scene.rig(), scene.pose
     detector = disc_detector(Settings().discs, rig, pose)
-    keep, side = kept(rig, pose, Settings()), 8 * detector.lattice.reduction + 1
+    keep, side = recorded_mask(rig, pose, Settings()), 8 * detector.lattice.reduction + 1
     narrow = np.where(cv2.dilate(detector.model.mask, np.ones((side, side), np.uint8)) > 0, keep, 0).astype(np.uint8)
     rows, columns = detector.window
     step = (rows.stop - rows.start) // 16
@@ -135,7 +135,7 @@ def test_the_published_detector_finds_the_same_on_the_ball():
     simulation = prepare(replace(FILMS["play"], seconds=1.0))
     rig, pose, settings = simulation.scene.rig(), simulation.scene.pose, Settings(detector="blobs", tracker="ekf1")
     frames = [f.frame for f in simulate(simulation)]
-    tracker, keep = build(rig, pose, settings), kept(rig, pose, settings)
+    tracker, keep = build(rig, pose, settings), recorded_mask(rig, pose, settings)
     whole, less = list(track(iter(frames), tracker)), list(track(iter(black_but(frames, keep)), tracker))
     for a, b in zip(whole, less, strict=True):
         assert np.array_equal(a.state.points.direction, b.state.points.direction)
@@ -147,7 +147,7 @@ def test_the_published_detector_finds_the_same_on_the_ball():
 def test_nothing_is_kept_but_ball_targets_and_sixteen_lines(view, size):
     scene = default_scene(26, view, 3, width=size[0], height=size[1])
     rig, pose = scene.rig(), scene.pose
-    keep, ball = kept(rig, pose, Settings()), ball_mask(rig, pose)
+    keep, ball = recorded_mask(rig, pose, Settings()), ball_mask(rig, pose)
     assert np.all(keep[ball > 0] == 255)
     diameter = largest_disc(rig, pose)
     reach = int(1.5 * diameter + 0.6 * diameter + 12)  # closing; smoothing and blocks of a picture that is reduced
@@ -175,7 +175,9 @@ def test_the_noise_is_measured_on_what_is_kept():
     rig, pose = simulation.scene.rig(), simulation.scene.pose
     detector = disc_detector(Settings().discs, rig, pose)
     image = next(iter(simulate(simulation))).frame.image
-    inverted = np.where(kept(rig, pose, Settings())[..., None] > 0, image, 255 - image)  # anything may be elsewhere
+    inverted = np.where(
+        recorded_mask(rig, pose, Settings())[..., None] > 0, image, 255 - image
+    )  # anything may be elsewhere
     assert detector.noise(inverted) == detector.noise(image)
 
 
@@ -183,23 +185,23 @@ def test_places_without_discs_are_kept_all_the_same():
     """A rectangle in which no disc is looked for may be taken away later: the recording must still do."""
     scene = default_scene()
     settings = replace(Settings(), discs=replace(Settings().discs, masks=((200.0, 100.0, 400.0, 300.0),)))
-    keep = kept(scene.rig(), scene.pose, Settings())
-    assert np.array_equal(kept(scene.rig(), scene.pose, settings), keep)
+    keep = recorded_mask(scene.rig(), scene.pose, Settings())
+    assert np.array_equal(recorded_mask(scene.rig(), scene.pose, settings), keep)
 
 
 def test_a_device_without_targets_keeps_the_ball():
     scene = default_scene()
     bare = replace(scene.rig(), targets=Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)))
-    keep = kept(bare, scene.pose, Settings())
+    keep = recorded_mask(bare, scene.pose, Settings())
     assert np.all(keep[ball_mask(bare, scene.pose) > 0])
-    assert np.count_nonzero(keep) < np.count_nonzero(kept(scene.rig(), scene.pose, Settings()))
+    assert np.count_nonzero(keep) < np.count_nonzero(recorded_mask(scene.rig(), scene.pose, Settings()))
 
 
 def test_a_camera_that_looks_away_is_refused():
     scene = default_scene()
     away = Pose(scene.pose.rotation @ exp(np.array([0.0, np.pi / 2, 0.0])), scene.pose.position)
     with pytest.raises(PoseError):
-        kept(scene.rig(), away, Settings())
+        recorded_mask(scene.rig(), away, Settings())
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3)])

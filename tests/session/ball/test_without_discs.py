@@ -21,7 +21,7 @@ from spheremouse.commands import app
 from spheremouse.files.ball_map import save_map, saved_now
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.ball.recorded import kept
+from spheremouse.session.ball.recorded import recorded_mask
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.to_dataset import write_simulation
@@ -81,7 +81,7 @@ def test_the_light_comes_before_the_pattern(level, known, cause):
 
 def test_a_masked_picture_keeps_the_ball_and_little_else():
     rig, pose, _ = film()
-    keep = kept(rig, pose, Settings())
+    keep = recorded_mask(rig, pose, Settings())
     clear = cv2.dilate(clear_mask(rig, pose), np.ones((3, 3), np.uint8))  # a chart interpolates between pixels
     rows, columns = (np.flatnonzero(clear.any(axis=axis)) for axis in (1, 0))
     box = keep[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] > 0

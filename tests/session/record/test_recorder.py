@@ -32,7 +32,7 @@ from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.ball.recorded import ball_subject, kept
+from spheremouse.session.ball.recorded import ball_subject, recorded_mask
 from spheremouse.session.offline import results, track
 from spheremouse.session.overlay.pen import masked
 from spheremouse.session.record import recorder as module
@@ -169,7 +169,7 @@ def test_a_recording_is_tracked_as_it_was_to_the_last_bit(tmp_path, kind):
     live = as_live(frames, KINDS[kind])
     epochs, folder = record(tmp_path / "made", live, rig, pose)
     assert np.any(counts_of([e.estimate for e in epochs], rig), axis=1).sum() > 15
-    keep = kept(rig, pose, Settings())
+    keep = recorded_mask(rig, pose, Settings())
     with open_source(f"dataset:{folder}") as source:
         again = list(source)
         tracker = build(source.rig, source.rig.pose, Settings())
@@ -284,7 +284,7 @@ def test_nobody_beside_the_ball_reaches_the_disk(tmp_path):
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     assert names == {"scene.json", "rig.yaml", "config.yaml", "stamps.csv", "video.mkv", "frames/000000.png"}
     assert "black" in json.loads((folder / "scene.json").read_text())["kept"]
-    outside = kept(rig, pose, Settings()) == 0
+    outside = recorded_mask(rig, pose, Settings()) == 0
     assert np.mean(outside) > 0.5
     video = cv2.VideoCapture(str(folder / "video.mkv"))
     for _ in live:
@@ -557,7 +557,7 @@ def test_a_snapshot_shows_what_the_tracker_sees_and_nobody_else(tmp_path, grey):
     image = cv2.imread(str(path))
     assert image.shape == (960, 1280, 3)
     assert np.array_equal(made.frame.image, before)
-    away = cv2.erode((kept(rig, pose, Settings()) == 0).astype(np.uint8), np.ones((41, 41), np.uint8))
+    away = cv2.erode((recorded_mask(rig, pose, Settings()) == 0).astype(np.uint8), np.ones((41, 41), np.uint8))
     away = cv2.resize(away, (1280, 960), interpolation=cv2.INTER_NEAREST) > 0
     away[-60:] = False  # the strip with the numbers
     assert np.count_nonzero(away) > 50_000
