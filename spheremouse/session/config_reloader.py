@@ -256,7 +256,7 @@ class ConfigReloader:
             else:
                 self._call(lambda: pending.attempt(lambda: self._finish_save(path, changes, pending)))
 
-        self._workers.do(READING, write)
+        self._workers.submit(READING, write)
 
     def _finish_save(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
         """Count the changes as read from the file."""
@@ -298,7 +298,7 @@ class ConfigReloader:
                 self._read_at = time.monotonic()
             self._call(lambda: pending.attempt(lambda: self._not_applied(error, files, pending)))
 
-        self._workers.do(READING, read)
+        self._workers.submit(READING, read)
 
     def _not_applied(self, error: str, files: dict[Path, int], pending: PendingRequest) -> None:
         self._files = files

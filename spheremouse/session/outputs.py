@@ -124,7 +124,7 @@ class Outputs:
             if another_main:
                 self._call(lambda: self._count_past(before.thread, submitted))
 
-        self._workers.do(OUTPUT, retire)
+        self._workers.submit(OUTPUT, retire)
 
     def close(self) -> None:
         """Close each, the main one first. Wait at most 5 s for each, and 0.4 s for one that hangs."""

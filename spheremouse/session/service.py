@@ -115,7 +115,7 @@ class Daemon:
         patience = MAX_FRAME_GAP_S if setup.replay is None else math.inf  # its user may pause it
         self._captures = Captures(map(camera, plan.cameras), self._ring, self._log, patience)
         self._arrivals = Arrivals(patience)
-        adapter = setup.adapter(plan, self._log, self._workers.do)
+        adapter = setup.adapter(plan, self._log, self._workers.submit)
         self._worker, self._sleep = Worker(adapter, self._log, len(plan.cameras)), SleepMonitor()
         self._outputs = Outputs(
             plan.outputs,

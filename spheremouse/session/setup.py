@@ -20,7 +20,7 @@ from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.run_config import RunConfig, with_distinct_names
-from spheremouse.session.tracker_adapter import MAP, Do, TrackerAdapter
+from spheremouse.session.tracker_adapter import MAP, Submit, TrackerAdapter
 
 if TYPE_CHECKING:
     from spheremouse.wand.ball import WandBall
@@ -58,7 +58,7 @@ class Setup:
         replay = self.replay
         return None if replay is None else lambda: replay
 
-    def adapter(self, plan: RunConfig, log: Callable[[str], None], do: Do) -> TrackerAdapter:
+    def adapter(self, plan: RunConfig, log: Callable[[str], None], submit: Submit) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
         if _is_wand(plan):
             from spheremouse.session.wand.adapter import WandAdapter
@@ -70,8 +70,8 @@ class Setup:
         rigs, keeper = plan.devices(given), None
         if plan.map_path is not None:
             kind = map_kind(rigs[0], plan.configuration)
-            keeper = MapKeeper(plan.map_path, rigs[0], kind, log, elsewhere=partial(do, MAP))
-        return BallAdapter(rigs, plan.configuration, keeper, log, do, given)
+            keeper = MapKeeper(plan.map_path, rigs[0], kind, log, elsewhere=partial(submit, MAP))
+        return BallAdapter(rigs, plan.configuration, keeper, log, submit, given)
 
     def wand_tracker(self, plan: RunConfig) -> "WandTracker":
         """Return the tracker of the plan's balls, else of the recording's own, else of `grzonka_ball()`.

@@ -19,7 +19,7 @@ from spheremouse.session.process.threads import Work
 from spheremouse.session.run_config import RunConfig
 from spheremouse.tracker import Frame, Status
 
-Do = Callable[[str, Work], None]  # has another thread do work of a kind
+Submit = Callable[[str, Work], None]  # has another thread do work of a kind
 TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that adapters have done
 
 

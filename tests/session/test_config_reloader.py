@@ -14,7 +14,7 @@ from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 def reloader_of(file, prepare=lambda plan, changed: lambda: False, saved=None, log=lambda line: None):
     file.write_text('schema: 2\nsource: dataset:film\noutput: "null"\n')
     overrides = CommandLineOverrides(file, saved=saved)
-    setup, workers = SimpleNamespace(planned=lambda plan: plan), SimpleNamespace(do=lambda kind, work: work())
+    setup, workers = SimpleNamespace(planned=lambda plan: plan), SimpleNamespace(submit=lambda kind, work: work())
     plan = read_run_config(overrides)
     return ConfigReloader(overrides, plan, setup, prepare, workers=workers, call=lambda f: f(), log=log)
 

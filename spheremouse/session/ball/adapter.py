@@ -38,10 +38,10 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
     MAP,
     TARGETS,
-    Do,
     FrameResult,
     LogMessages,
     Subject,
+    Submit,
     TrackerAdapter,
     camera_scene,
     here,
@@ -58,31 +58,31 @@ class BallAdapter(TrackerAdapter):
         settings: Configuration,
         keeper: MapKeeper | None,
         log: Callable[[str], None],
-        do: Do = here,
+        submit: Submit = here,
         given: Sequence[Rig | None] = (None,),
     ) -> None:
         """Create the adapter, which tracks at once if a rig has the camera's pose.
 
         `rigs` are those of the cameras by their numbers, in the same axes. `keeper` saves the map of the ball; None
-        saves none. `log` prints a line. `do` has another thread do work. `given` are the rigs of the sources, if they
-        have one. Raises PoseError if a rig has neither the camera's pose nor three targets, or if the ball is not in
+        saves none. `log` prints a line. `submit` has another thread do work. `given` are the sources' own rigs, if
+        any. Raises PoseError if a rig has neither the camera's pose nor three targets, or if the ball is not in
         view, and ConfigurationError if the ball has no discs.
         """
         for rig in rigs:
             check_discs(rig, settings)
         check_cameras(rigs, settings)
         self.settings, self._keeper, self._log = settings, keeper, log
-        self._do, self._given = do, given
+        self._submit, self._given = submit, given
         names = [f"camera {k + 1}: " if len(rigs) > 1 else "" for k in range(len(rigs))]
         self.cameras = tuple(
-            PosedCamera(k, rig, settings, lambda text, name=name: log(name + text), do)
+            PosedCamera(k, rig, settings, lambda text, name=name: log(name + text), submit)
             for k, (rig, name) in enumerate(zip(rigs, names, strict=True))
         )
         self._names, self._shown = names, self.cameras[0]  # the camera of the last frame
         self.state: TrackState | None = None
         self.waiting = self._waiting()
         self.status = Status.SEARCHING
-        self._messages = BallMessages(partial(do, TARGETS))
+        self._messages = BallMessages(partial(submit, TARGETS))
         self.untracked = 0  # frames before the first pose
         self._subject: Subject | None = None
         self.mapping = self._counter = Counter(settings.motion.matrix(self.rig.radius_m))
@@ -230,7 +230,7 @@ class BallAdapter(TrackerAdapter):
                 self._keeper = self._next_keeper(plan, rig)
             if "rig" in changed:
                 self.interrupted("another rig is in use now")
-                return BallAdapter(rigs, settings, self._keeper, self._log, self._do, self._given)
+                return BallAdapter(rigs, settings, self._keeper, self._log, self._submit, self._given)
             self.state, self._subject = state, None
             self.status = Status.SEARCHING if state is None else state.status
             if settings.tracker != self.settings.tracker:
@@ -358,7 +358,7 @@ class BallAdapter(TrackerAdapter):
             return None
         try:
             kind = map_kind(rig, plan.configuration)
-            return MapKeeper(plan.map_path, rig, kind, self._log, elsewhere=partial(self._do, MAP))
+            return MapKeeper(plan.map_path, rig, kind, self._log, elsewhere=partial(self._submit, MAP))
         except SpheremouseError as e:
             self._log(f"map: {e}; going on without")
             return None

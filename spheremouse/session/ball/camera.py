@@ -23,7 +23,7 @@ from spheremouse.session import messages
 from spheremouse.session.ball.search import PoseRecovery, PoseSearch
 from spheremouse.session.control.protocol import internal_error
 from spheremouse.session.control.status import PoseStatus, TargetsStatus
-from spheremouse.session.tracker_adapter import POSE, TARGETS, Do
+from spheremouse.session.tracker_adapter import POSE, TARGETS, Submit
 from spheremouse.tracker import Frame, Status, Step
 
 _MIN_TARGETS = 3  # for a pose
@@ -45,13 +45,13 @@ class _Reinitialisation(NamedTuple):
 class PosedCamera:
     """A camera with its rig and, once it is known, its pose and tracker. The worker's thread calls it."""
 
-    def __init__(self, number: int, rig: Rig, settings: Settings, log: Callable[[str], None], do: Do) -> None:
+    def __init__(self, number: int, rig: Rig, settings: Settings, log: Callable[[str], None], submit: Submit) -> None:
         """Create the camera, whose frames have the `number`. If the rig has the camera's pose, it tracks at once.
 
         Raises PoseError if the rig has neither the camera's pose nor three targets, or if the ball is not in view.
         """
         self.number, self.rig, self.settings = number, rig, settings
-        self._log, self._do = log, do
+        self._log, self._submit = log, submit
         self.pose: Pose | None = None
         self.resection: Resection | None = None  # of the first pose
         self._posed = 0.0  # s, time.monotonic() when the pose was found
@@ -120,8 +120,8 @@ class PosedCamera:
 
     def forget_views(self) -> None:
         """Drop the views of past frames, and the results of searches that run."""
-        self.first_pose = PoseSearch(self.rig, self.settings, partial(self._do, TARGETS))
-        self._recovery = PoseRecovery(partial(self._do, TARGETS))
+        self.first_pose = PoseSearch(self.rig, self.settings, partial(self._submit, TARGETS))
+        self._recovery = PoseRecovery(partial(self._submit, TARGETS))
 
     def interrupted(self, reason: str) -> None:
         """Drop the work on past frames, since the camera may be moved meanwhile."""
@@ -159,7 +159,7 @@ class PosedCamera:
         elif self._reinitialisation is not None:
             answer("the camera's pose is being estimated already; wait for its end", "")
         else:
-            search = PoseSearch(self.rig, self.settings, partial(self._do, POSE))
+            search = PoseSearch(self.rig, self.settings, partial(self._submit, POSE))
             self._reinitialisation = _Reinitialisation(search, answer, wanted)
 
     @property

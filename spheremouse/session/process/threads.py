@@ -26,8 +26,8 @@ def begin(thread: threading.Thread) -> None:
         ) from None
 
 
-def as_future(work: Callable[[], T], do: Callable[[Work], object]) -> Future[T]:
-    """Have `do` run the work, and return the future of its result or error."""
+def as_future(work: Callable[[], T], submit: Callable[[Work], object]) -> Future[T]:
+    """Have `submit` run the work, and return the future of its result or error."""
     future = Future[T]()
 
     def run() -> None:
@@ -36,7 +36,7 @@ def as_future(work: Callable[[], T], do: Callable[[Work], object]) -> Future[T]:
         except Exception as e:
             future.set_exception(e)
 
-    do(run)
+    submit(run)
     return future
 
 
@@ -61,7 +61,7 @@ class WorkerPool:
             begin(thread)
             self._threads.append(thread)
 
-    def do(self, kind: str, work: Work) -> None:
+    def submit(self, kind: str, work: Work) -> None:
         """Have the thread of a kind do work, from any thread, without waiting.
 
         If the work returns a function, the thread calls it when `busy` no longer counts this work. A client that gets

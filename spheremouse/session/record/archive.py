@@ -133,7 +133,7 @@ class Archive:
             if self._ending is not None:
                 self._ending.answer(reply)
 
-        self._workers.do(RECORDING, lambda: self._run_and_answer(write, answered))
+        self._workers.submit(RECORDING, lambda: self._run_and_answer(write, answered))
 
     def _answer_begun(self) -> None:
         begun, self._begun = self._begun, None
@@ -186,7 +186,7 @@ class Archive:
             self._log(f"snapshot: {path}")
             return {"file": str(path)}
 
-        self._workers.do(SNAPSHOT, lambda: self._run_and_answer(write, pending.answer))
+        self._workers.submit(SNAPSHOT, lambda: self._run_and_answer(write, pending.answer))
 
     def _run_and_answer(
         self, work: Callable[[], dict[str, Any]], answer: Callable[[dict[str, Any]], None]

@@ -113,9 +113,9 @@ def workers():
 
 def test_a_kind_waits_for_its_own_and_for_no_other(workers):
     gate, done = threading.Event(), []
-    workers.do("one", gate.wait)
-    workers.do("one", lambda: done.append("one"))
-    workers.do("two", lambda: done.append("two"))
+    workers.submit("one", gate.wait)
+    workers.submit("one", lambda: done.append("one"))
+    workers.submit("two", lambda: done.append("two"))
     until(lambda: done)
     assert done == ["two"]
     assert workers.busy("one")
@@ -126,17 +126,17 @@ def test_a_kind_waits_for_its_own_and_for_no_other(workers):
 
 def test_an_error_is_told_and_the_next_work_is_done(workers):
     with pytest.raises(ZeroDivisionError):
-        as_future(lambda: 1 // 0, partial(workers.do, "one")).result(20.0)
-    workers.do("one", lambda: 1 // 0)
-    assert as_future(lambda: 5, partial(workers.do, "one")).result(20.0) == 5
+        as_future(lambda: 1 // 0, partial(workers.submit, "one")).result(20.0)
+    workers.submit("one", lambda: 1 // 0)
+    assert as_future(lambda: 5, partial(workers.submit, "one")).result(20.0) == 5
     until(lambda: not workers.busy("one"))
     assert "ZeroDivisionError" in workers.said[0]
 
 
 def test_what_was_given_is_done_before_the_end(workers):
     done = []
-    workers.do("one", lambda: time.sleep(0.05))
-    workers.do("one", lambda: done.append(1))
+    workers.submit("one", lambda: time.sleep(0.05))
+    workers.submit("one", lambda: done.append(1))
     workers.end("one")
     assert done == [1]
 
