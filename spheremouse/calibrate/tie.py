@@ -46,11 +46,25 @@ class Tie:
 
 
 def tie(first: AttitudeTrack, second: AttitudeTrack) -> Tie:
-    """Estimate the tie of two cameras.
+    """Estimate the tie of two cameras. The faster one is interpolated at the stamps of the other.
 
     Raises CalibrationError if they have too few frames in common, if the ball turned about one axis only, or if the
     tracks are not of one ball by one clock.
     """
+    if _interval(first) <= _interval(second):
+        return _tie(first, second)
+    back = _tie(second, first)
+    R = back.rotation.T
+    return replace(back, rotation=R, covariance=R @ back.covariance @ R.T, lag=-back.lag)
+
+
+def _interval(track: AttitudeTrack) -> float:
+    """Return the usual time between two frames, s."""
+    return float(np.median(np.diff(track.stamp))) if len(track.stamp) > 1 else np.inf
+
+
+def _tie(first: AttitudeTrack, second: AttitudeTrack) -> Tie:
+    """Estimate the tie as `tie`, with the track of the first camera interpolated."""
     R, rate, which = _at(first, second.stamp)
     stamp, S = second.stamp[which], second.attitude[which]
     if len(stamp) < 2 or stamp[-1] - stamp[0] < _MIN_SECONDS or len(stamp) < 10 * _MIN_SECONDS:

@@ -47,6 +47,19 @@ def test_the_axes_and_the_lag_of_the_clock_are_found():
     assert found.lag == pytest.approx(0.004, abs=1e-4)
 
 
+@pytest.mark.parametrize("step", [2, 4])
+def test_the_order_of_cameras_of_different_rates_does_not_matter(step):
+    """Between frames of a slow camera, an attitude cannot be interpolated."""
+    first, second = tracks(np.random.default_rng(7), sigma=1e-4, lag=0.004)
+    slow = AttitudeTrack(first.stamp[::step], first.attitude[::step], first.rate[::step])
+    found, back = tie(slow, second), tie(second, slow)
+    assert np.linalg.norm(log(found.rotation @ TURN.T)) < 1e-3
+    assert found.lag == pytest.approx(0.004, abs=5e-4)
+    assert_allclose(back.rotation, found.rotation.T, atol=1e-12)
+    assert_allclose(back.covariance, back.rotation @ found.covariance @ back.rotation.T, atol=1e-15)
+    assert back.lag == pytest.approx(-found.lag)
+
+
 def test_the_covariance_is_at_least_the_scatter():
     """It supposes errors that last; those here are independent, so it is larger."""
     found = [tie(*tracks(np.random.default_rng(seed), sigma=5e-4)) for seed in range(6)]
