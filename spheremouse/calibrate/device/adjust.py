@@ -162,10 +162,17 @@ def adjust_bundle(
     )
     is_disc = image.point >= n
     points = np.concatenate([block.points[:n], discs.position])
-    used = np.ones(len(image), dtype=bool)
-    factors, robust = np.ones(2), _HUBER_KNEE
+    refused, left_out, without_discs = (np.zeros(len(image), dtype=bool) for _ in range(3))
+    factors, robust, given = np.ones(2), _HUBER_KNEE, None
     for _ in range(40):
+        used = ~refused & ~left_out & ~(without_discs & is_disc)
         used &= _fixed(image, used, block, points, n, device.disc_radius)[image.point]
+        given = used | ~is_disc if given is None else given
+        turned = _turned(image.photo, given & ~without_discs, used, is_disc)
+        if turned is not None:
+            refused[(image.photo == turned) & ~is_disc] = False
+            without_discs |= image.photo == turned
+            continue
         kept, index = np.unique(image.point[used], return_inverse=True)
         _require_targets(kept, device)
         factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
@@ -174,7 +181,7 @@ def adjust_bundle(
         try:
             solution = solve_block(problem, replace(block, points=points[kept]), robust)
         except np.linalg.LinAlgError as e:
-            used &= ~(image.point == _undetermined_disc(e, problem, kept))
+            left_out |= image.point == _undetermined_disc(e, problem, kept)
             continue
         block, points[kept], robust = solution.block, solution.block.points, None
         residual, cofactor = image_residuals(solution, len(weighted))
@@ -187,14 +194,14 @@ def adjust_bundle(
         np.maximum.at(worst, index, statistic)
         false = (statistic > _OUTLIER_CHI2) & (statistic == worst[index])
         if np.any(false):
-            used[np.flatnonzero(used)[false]] = False
+            refused[np.flatnonzero(used)[false]] = True
         elif np.any(np.abs(np.log(spread)) > 0.02):
             factors = now
         else:
             sphere, outside = _sphere(solution, n)
             if not np.any(outside):
                 return BundleResult(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
-            used &= ~np.isin(image.point, kept[n:][outside])
+            left_out |= np.isin(image.point, kept[n:][outside])
     raise CalibrationError(
         "the photos do not agree among themselves: are they all of this camera, in the mode of the camera file, and "
         "did the ball stay still between them?"
@@ -326,6 +333,22 @@ def image_rms(problem: Problem, solution: Solution) -> float:
     """Return the RMS per axis of the image points, px."""
     residual = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
     return float(np.sqrt(np.mean(residual**2)))
+
+
+def _turned(
+    photo: NDArray[np.intp], given: NDArray[np.bool_], used: NDArray[np.bool_], is_disc: NDArray[np.bool_]
+) -> int | None:
+    """Return the photo of which most targets or most discs, `given` (n,), are not `used`; None if there is none.
+
+    The ball turned before that photo: its targets and its discs cannot both fit the others.
+    """
+    n = int(photo.max()) + 1
+    lost = [
+        np.bincount(photo[of & ~used], minlength=n) / np.maximum(np.bincount(photo[of], minlength=n), 1)
+        for of in (given & is_disc, given & ~is_disc)
+    ]
+    worst = np.maximum(*lost)
+    return int(np.argmax(worst)) if worst.max() > 0.5 else None
 
 
 def _fixed(

@@ -18,7 +18,7 @@ from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
 from spheremouse.files.device import load_device
-from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix
+from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.geometry.rotation import exp, log
 
 RUNS = 24
@@ -179,6 +179,23 @@ def test_covariances_are_true_over_many_calibrations(scale_free):
         low, high = chi2.ppf([0.001, 0.999], freedom * RUNS) / (freedom * RUNS)
         # poses of one calibration share most of their errors: as many degrees of freedom as one of them has
         assert low < np.mean(errors[name]) < high, name
+
+
+@pytest.mark.parametrize("degrees", [1.0, 2.0, 5.0])
+def test_a_photo_before_which_the_ball_turned_does_not_count(degrees):
+    """Its targets count. By chance some of its discs are near others."""
+    simulated = simulated_calibration(np.random.default_rng(4))
+    s, turned = simulated.discs, 2
+    pose = simulated.poses[turned]
+    centre = s.centre.copy()
+    for k in np.flatnonzero(s.photo == turned):
+        place = s.position[s.disc[k]] + simulated.targets[1]
+        centre[k] = project(pose.to_cam(exp(np.radians([0.0, degrees, 0.0])) @ place)[None], simulated.camera)[0][0]
+    found = calibrated(replace(simulated, discs=replace(s, centre=centre)))
+    measured = found.measured
+    is_disc = measured.point >= len(simulated.targets)
+    assert not np.any(measured.used & is_disc & (measured.photo == turned))
+    assert normalised_errors(simulated, found)["ball"] < chi2.isf(0.001, 4) / 4.0
 
 
 @pytest.mark.parametrize("seed", range(3))
