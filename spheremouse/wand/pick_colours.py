@@ -29,8 +29,8 @@ _MIN_SATURATION = 60.0  # of 255, of a colour: less is plain
 _MIN_PIXELS = 12  # of a colour
 _HUE_MARGIN = 8.0  # deg around the measured hues: light varies more than in one picture
 _INNER_RADIUS = 0.93  # of the ball's: edge pixels mix with the background
-_MIN_RADIUS = 8.0  # px, of a ball that the search finds
-_MAX_RADIUS = 0.45  # of the picture's shorter side, the same
+_MIN_RADIUS_PX = 8.0  # of a ball that the search finds
+_MAX_RADIUS_PART = 0.45  # of the picture's shorter side: radius of a ball that the search finds
 _MIN_SATURATIONS = (95.0, 150.0)  # of 255, least of discs in white light, and in light that colours all of the picture
 _WIDE_HUE = 24.0  # deg around the hue of a name
 _MIN_VALUE = 15.0  # normalised brightness of a disc
@@ -147,7 +147,7 @@ def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
     focal = float(max(h, w))
     camera = InteriorOrientation(w, h, focal, focal, 0.5 * (w - 1), 0.5 * (h - 1))
     distances = WandSettings(
-        nearest=ball.radius * focal / (_MAX_RADIUS * min(h, w)), farthest=ball.radius * focal / _MIN_RADIUS
+        nearest=ball.radius * focal / (_MAX_RADIUS_PART * min(h, w)), farthest=ball.radius * focal / _MIN_RADIUS_PX
     )
     for saturation in _MIN_SATURATIONS:
         bounds = {name: _wide_bounds(name, saturation) for name in ball.colours}

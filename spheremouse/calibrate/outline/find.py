@@ -23,16 +23,16 @@ from spheremouse.geometry.statistics import mad_sigma
 POINTS = "or give points on its edge: --points X,Y X,Y X,Y"
 _TURN_HINT = "turn the ball by a quarter and more while you film all of it with a still camera"
 
-_DARK, _BRIGHT = 25.0, 250.0  # grey values
+_MIN_BRIGHTNESS, _MAX_BRIGHTNESS = 25.0, 250.0  # grey values between which a pixel is neither dark nor white
 _SMOOTHING_SIGMA_PX = 0.8  # px, standard deviation of the Gaussian before all else
-_SAME_LIGHT = 0.2  # of the logarithm of the light: frames with another light are left out
+_MAX_LIGHT_CHANGE = 0.2  # in the logarithm of a frame's light: frames with another light are left out
 _MIN_CHANGE = 2.0  # grey values, standard deviation of a pixel that changes
-_MIN_CHANGE_SIGMAS = 4.0  # standard deviations of the noise, the same
+_MIN_CHANGE_SIGMAS = 4.0  # of the noise, of a pixel that changes
 _MIN_AREA = 0.002  # of the picture
 _MIN_SIDE = 16  # px, side of a picture
 _MAX_BORDER_POINTS = 1000  # points of the border in RANSAC
 _RANSAC_TRIALS = 2000
-_GRID_SIDE = 40  # pixels along a side of the picture, the same
+_GRID_SIDE = 40  # pixels along a side of the picture that test an outline
 _MIN_POINTS = 30  # of a border or an outline
 _MIN_REGION = 0.003  # of the largest region that moves: others are noise
 _MIN_SECANT_SQUARED = 1.0 + 1e-6  # of the angular radius
@@ -40,16 +40,16 @@ _MIN_DEPTH = 1.1  # radii, least depth of a ball's centre
 _MAX_OFF, _MAX_OFF_PX = 0.01, 3.0  # of the radius, and px: a point of the border that fits
 _MIN_SUPPORT = 0.3  # of the outline, on which an edge is
 _MIN_IN_PICTURE = 0.7  # of the outline
-_ROUND, _AS_LARGE = 0.6, 0.3  # of what moves and of its outline, that are one; of the first: another ball
+_MIN_OVERLAP, _MIN_OTHER_SIZE = 0.6, 0.3  # of moving pixels and outline, of the first outline: of another ball
 _SEARCH_RANGES = (0.08, 0.04, 0.02, 0.02)  # of the radius: in which an edge is looked for, one pass after another
-_MIN_SEARCH_PX = 4.0  # px, the same
+_MIN_SEARCH_PX = 4.0  # px, least search range across an outline
 _EDGE_RATIO = float(np.sqrt(2.0 / np.pi))  # gradient over change at an edge, times the blur: phi(0) / Phi(0)
 _MIN_BLUR = 1.0  # px, standard deviation of the blur of a sharp picture after `_SMOOTHING_SIGMA_PX` and differences
 _SAMPLING_PX = 0.25  # px
 _OUTSIDE_SAMPLES = 6  # samples
 _MIN_EDGE_VARIANCE = 0.02  # of the variance within: less is noise
 _MAX_BACKGROUND_VARIANCE = 0.25  # of the variance within: the background
-_STEP_PX, _STEP = 2.5, 5.0  # px, and grey values a pixel: of a step of the mean picture
+_STEP_PX, _MIN_STEP = 2.5, 5.0  # px to each side, and grey values a pixel: a step of the mean picture at the edge
 _MIN_STEP_SHARE = 0.5  # steps, of the edges
 _STEP_FLOOR_PX, _STEP_SHARED = (0.08, 0.12), (0.3, 0.3)  # as those below, by steps
 _FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
@@ -93,7 +93,7 @@ def change_of(images: Sequence[Image], light: Array) -> Change:
     sums, count = np.zeros((7, *images[0].shape), np.float32), 0
     along, base = np.array([[-0.5, 0.0, 0.5]], np.float32), np.float32(0.0)
     for image, k in zip(images, light, strict=True):
-        if abs(np.log(max(k, 1e-3))) > _SAME_LIGHT:
+        if abs(np.log(max(k, 1e-3))) > _MAX_LIGHT_CHANGE:
             continue
         smooth = cv2.GaussianBlur(image.astype(np.float32) / np.float32(k), (0, 0), _SMOOTHING_SIGMA_PX)
         base = base if count else smooth  # sums of small values lose no digits
@@ -110,9 +110,9 @@ def change_of(images: Sequence[Image], light: Array) -> Change:
 
 def _check_light(images: Sequence[Image]) -> None:
     thin = np.stack([image[::8, ::8] for image in images])
-    if np.percentile(thin, 95.0) < _DARK:
+    if np.percentile(thin, 95.0) < _MIN_BRIGHTNESS:
         raise CalibrationError("the pictures are black", "light the ball, or lengthen the exposure")
-    if np.percentile(thin, 50.0) > _BRIGHT:
+    if np.percentile(thin, 50.0) > _MAX_BRIGHTNESS:
         raise CalibrationError("the pictures are overexposed", "shorten the exposure, or dim the light")
 
 
@@ -120,7 +120,7 @@ def light_of(images: Sequence[Image]) -> Array:
     """Return the light of each image over the usual light, (n,), by the pixels that are neither dark nor white."""
     thin = np.stack([image[::8, ::8] for image in images]).reshape(len(images), -1).astype(float)
     usual = np.median(thin, axis=0)
-    clear = (usual > _DARK) & (usual < _BRIGHT)
+    clear = (usual > _MIN_BRIGHTNESS) & (usual < _MAX_BRIGHTNESS)
     return np.median(thin[:, clear] / usual[clear], axis=1) if clear.any() else np.ones(len(images))
 
 
@@ -269,7 +269,7 @@ def _steps(mean: Array, outline: Outline, edges: Array, camera: InteriorOrientat
     a, b, c = (slope[i, inner + d] for d in (-1, 0, 1))
     place = offset[1 + inner] + _SAMPLING_PX * 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, -1e-9)
     near = np.min(np.linalg.norm(pixels[:, None] - edges[None], axis=2), axis=1) < 2.0 * _STEP_PX
-    ok = near & (k == inner) & (b > _STEP)
+    ok = near & (k == inner) & (b > _MIN_STEP)
     return pixels[ok] + place[ok, None] * normal[ok]
 
 
@@ -297,8 +297,8 @@ def _has_other(moving: Image, change: Change, outline: Outline, camera: Interior
         return False
     disc = _fill_polygon(np.zeros_like(rest), other.pixels(camera), 255)
     common = np.count_nonzero(rest & disc)
-    least = _ROUND * max(np.count_nonzero(rest), np.count_nonzero(disc))
-    return bool(common > least) and other.angle > _AS_LARGE * outline.angle
+    least = _MIN_OVERLAP * max(np.count_nonzero(rest), np.count_nonzero(disc))
+    return bool(common > least) and other.angle > _MIN_OTHER_SIZE * outline.angle
 
 
 def _fill_polygon(image: Image, pixels: Array, value: int) -> Image:
