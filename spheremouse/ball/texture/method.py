@@ -50,10 +50,12 @@ from spheremouse.ball.texture.picture import (
     grain_of,
     learn,
     seen_again,
+    seen_with_skew,
     shows_all_axes,
     tiles_in_view,
     tiles_to_learn,
     weigh,
+    with_skew,
     without_past,
 )
 from spheremouse.ball.texture.picture_map import PictureMap, recall, resize, state_from_map, to_map
@@ -62,6 +64,7 @@ from spheremouse.ball.texture.search import (
     FRAMES_PER_SEARCH,
     Lesson,
     Level,
+    Shutter,
     TextureDetector,
     TextureState,
     compared_with_itself,
@@ -105,19 +108,21 @@ def detect_texture(
         before = state_from_map(detector, frame, before)
     if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
-        found, anchors = _detections(detector.fine, now.alignment, tracker, predicted)
+        found, anchors = _detections(detector.fine, now.alignment, tracker, predicted, np.zeros(3))
         return found, now._replace(shown=anchors)
     shown, light = detector.light(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
-    now = _with_contrast(detector, before, shown, noise)._replace(frame_index=before.frame_index + 1)
     lost = state.status is Status.LOST or recognises
+    shutter = None if lost else _shutter(state, frame.stamp, tracker, predicted)
+    skew = np.zeros(3) if lost else predicted.rate * (tracker.rig.readout_s + predicted.readout)
+    now = _with_contrast(detector, before, shown, noise, skew)._replace(frame_index=before.frame_index + 1)
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
     if lost and not (now.turned or turns):
         alignment = None  # a static scene would fit
     searched = alignment is None and now.turned
     if searched:
-        alignment = search(detector, now, None if recognises else expected, lost)
+        alignment, now = search(detector, now, None if recognises else expected, lost, shutter)
     elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
         alignment = None
     if alignment is not None:
@@ -129,7 +134,7 @@ def detect_texture(
                 now = compared_with_itself(detector, now, alignment)
     elif _details(now) < _MIN_DETAILS * now.details:
         now = now._replace(last_plain_stamp=frame.stamp)
-    found, anchors = _detections(detector.fine, alignment, tracker, predicted)
+    found, anchors = _detections(detector.fine, alignment, tracker, predicted, now.fine.seen.skew)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
         clear = significance(alignment) > CLEAR  # else no search would find a lost ball
@@ -155,17 +160,28 @@ def _begins(state: TrackState[So3State], detector: TextureDetector, before: Text
     return not (before.view is detector.fine or before.turned)
 
 
+def _shutter(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> Shutter | None:
+    """Return the rolling shutter, and the last confirmed motion; None if all rows are exposed at once."""
+    readout, since = tracker.rig.readout_s + predicted.readout, stamp - state.confirmed_at
+    if readout == 0.0 or since <= 0.0:
+        return None
+    return Shutter(readout, state.reported_attitude, state.filter.rate, since)
+
+
 def _with_contrast(
-    detector: TextureDetector, before: TextureState, shown: tuple[ChartLight, ChartLight], noise: float
+    detector: TextureDetector, before: TextureState, shown: tuple[ChartLight, ChartLight], noise: float, skew: Array
 ) -> TextureState:
     """Return the state with the samples of a frame. At another pose of the camera, none has a past."""
     levels = []
     for view, level, light in zip(detector.views, (before.fine, before.coarse), shown, strict=True):
         contrast = contrast_of_samples(view, light)
         if before.view is detector.fine:
-            levels.append(level._replace(seen=seen_again(view, level.seen, contrast, noise)))
+            seen = with_skew(view, level.seen, skew)
+            levels.append(level._replace(seen=seen_again(view, seen, contrast, noise)))
         else:
-            seen = without_past(first_seen(view, contrast))
+            seen = with_skew(view, without_past(first_seen(view, contrast)), skew)
             levels.append(Level(seen, resize(level.picture, view.cells)))
     return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1])
 
@@ -296,12 +312,12 @@ def _with_lesson(view: TextureView, picture: Picture, lesson: Lesson) -> tuple[P
 
 
 def _detections(
-    view: TextureView, alignment: Alignment | None, tracker: Tracker[So3Filter], predicted: So3State
+    view: TextureView, alignment: Alignment | None, tracker: Tracker[So3Filter], predicted: So3State, skew: Array
 ) -> tuple[Detections, NDArray[np.intp]]:
     """Return the anchors whose surroundings a frame shows, as points of the image, and their numbers, (n,).
 
     The pixels around an anchor give a rotation of their own about the two axes across it, relative to the alignment of
-    the whole.
+    the whole. A rolling shutter shows an anchor where the ball, which turns by `skew`, (3,) rad in obj, has it then.
     """
     if alignment is None:
         return no_detections(), np.zeros(0, dtype=np.intp)
@@ -319,6 +335,8 @@ def _detections(
         facing,
         view_of(view.rig, view.pose),
     )
+    if skew.any():
+        place = seen_with_skew(place, view.rig, view.pose, skew)
     return Detections(place, covariance, alignment.pixels[which]), which
 
 

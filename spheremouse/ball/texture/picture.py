@@ -14,12 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.chart import Chart, Resampling
-from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.camera import Pose, row_of
+from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.native import kernels
 
 Floats = NDArray[np.float32]
@@ -45,6 +47,8 @@ _UNCHANGED_SIGMAS, SHOWS = 3.0, 2.0
 _DISTINCT_SIGMAS = 3.0  # standard deviations of a contrast, by which what turns and what stands still differ
 DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _FRAME_WEIGHT = 0.2  # of a frame in the mean contrast
+_MIN_SKEW_PX = 0.1  # px of the chart, by which a rolling shutter shifts a sample: less does not count
+_GROUP_PX = 0.3  # px of the chart, by which the ball turns while a group of tiles is exposed
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 
 
@@ -63,6 +67,7 @@ class TextureView:
     place: NDArray[np.intp]  # (n,) of each sample in `number`
     at: NDArray[np.int32]  # (n,) pixel of the chart of each sample
     direction: Floats  # (3, n) obj
+    row: Floats  # (n,) of the image, -1/2 at its top to 1/2 at its bottom, that shows each sample
     cells: int  # along a face of the picture
     tiles: Floats  # (m, 3) unit vectors to their middles, ball
     least_height: float  # of a tile's middle over the plane across the view, for one that is learnt; radii
@@ -102,6 +107,8 @@ class Seen(NamedTuple):
     first: Floats  # (n,) contrast of the first frame
     counts: Floats  # (n,) `least`, or -inf for a detail that may stand still since the first frame
     turning: Floats  # (n,) `counts`, or -inf for any sample that may
+    direction: Floats  # (3, n) obj, at the frame's stamp
+    skew: Array  # (3,) rad, rotation of the ball, in obj, while a rolling shutter exposes all rows
 
 
 class Alignment(NamedTuple):
@@ -147,6 +154,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     number = np.full(at[::step, ::step].shape, -1, np.int32)
     number[samples[::step, ::step]] = np.arange(np.count_nonzero(at))
     cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
+    rows = row_of(seen_at(direction[at], rig, pose)[:, 1], rig.camera.height)
     anchors, tiles = anchor_directions(), cell_directions(cells // TILE)
     # rad, from the middle of a tile to a corner
     reach = 2.0**0.5 * TILE * HALF / cells
@@ -163,6 +171,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
         np.flatnonzero(number >= 0),
         np.flatnonzero(at).astype(np.int32),
         np.ascontiguousarray(direction[at].T, dtype=np.float32),
+        rows.astype(np.float32),
         cells,
         tiles.reshape(-1, 3).astype(np.float32),
         chart.height(kernels.FACING) - reach,
@@ -212,7 +221,7 @@ def empty_picture(view: TextureView) -> Picture:
 def first_seen(view: TextureView, contrast: Floats) -> Seen:
     """Return the samples of a first frame by their contrast, (n,). All may turn with the ball."""
     zero = np.zeros(len(view.at), np.float32)
-    return Seen(contrast, contrast, zero, zero, zero, contrast, zero, zero)
+    return Seen(contrast, contrast, zero, zero, zero, contrast, zero, zero, view.direction, np.zeros(3))
 
 
 def without_past(seen: Seen) -> Seen:
@@ -220,12 +229,36 @@ def without_past(seen: Seen) -> Seen:
     return seen._replace(first=np.full_like(seen.first, np.nan))
 
 
+def with_skew(view: TextureView, seen: Seen, skew: Array) -> Seen:
+    """Return the samples of a frame in which the ball turns by `skew`, (3,) rad in obj, while all rows are exposed.
+
+    Their directions are those at the frame's stamp, the middle of the exposure. If that differs by less than a tenth of
+    a pixel from what the camera sees, they are as the camera sees them.
+    """
+    if np.linalg.norm(skew) < 2.0 * _MIN_SKEW_PX * view.pixel:
+        return seen._replace(direction=view.direction, skew=np.zeros(3))
+    x, turn = view.direction, hat(skew).astype(np.float32)
+    return seen._replace(direction=x - view.row * (turn @ (x - 0.5 * view.row * (turn @ x))), skew=skew)
+
+
+def seen_with_skew(place: Array, rig: Rig, pose: Pose, skew: Array) -> Array:
+    """Return where a rolling shutter shows points of the ball, (n, 2) px, that are at `place` at the frame's stamp.
+
+    The ball turns by `skew`, (3,) rad in obj, while all rows are exposed.
+    """
+    direction, index = directions_at(place, rig, pose)
+    row = row_of(place[index, 1], rig.camera.height)
+    seen = place.copy()
+    seen[index] = seen_at(np.einsum("nij,nj->ni", exp(row[:, None] * skew), direction), rig, pose)
+    return seen
+
+
 def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) -> Seen:
     """Return the samples with the contrast of a frame, (n,).
 
     A sample that shows a detail, and shows the same as in the first frame, is in doubt until it is known to turn.
     """
-    samples = contrast, view.direction, seen.least, seen.offset
+    samples = contrast, seen.direction, seen.least, seen.offset
     counts, turning = kernels.leave_out_doubtful(
         samples, seen.first, seen.odds, _UNCHANGED_SIGMAS * noise, SHOWS * noise
     )
@@ -235,7 +268,7 @@ def seen_again(view: TextureView, seen: Seen, contrast: Floats, noise: float) ->
 def align(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> Alignment:
     """Return the attitude near `attitude`, (3, 3), that explains a frame. `noise` is that of a contrast."""
     scale = AlignmentScale(_CONTOUR_PX * view.pixel, view.pixel, view.anchor_of, view.across)
-    return align_samples(_samples(view, seen, seen.turning), picture, attitude, noise, scale)
+    return align_samples(_samples(seen, seen.turning), picture, attitude, noise, scale)
 
 
 def align_samples(
@@ -282,8 +315,22 @@ def _learn_tiles(
 ) -> Picture:
     learnt = Picture(*(part.copy() for part in picture))
     shown = contrast, view.number, seen.counts, seen.offset, view.step
-    kernels.learn_texture(shown, learnt, tiles, view.chart, attitude, _MAX_MEAN_VIEWS, forget)
+    for turn, part in _exposed_together(view, seen.skew, attitude, tiles):
+        kernels.learn_texture(shown, learnt, part, view.chart, exp(turn) @ attitude, _MAX_MEAN_VIEWS, forget)
     return learnt
+
+
+def _exposed_together(view: TextureView, skew: Array, attitude: Array, tiles: Tiles) -> list[tuple[Array, Tiles]]:
+    """Return tiles in groups of about one exposure, (k,), each with the ball's turn, (3,) rad in obj, since the stamp.
+
+    Within a group the turn differs by less than a third of a pixel.
+    """
+    groups = int(np.linalg.norm(skew) / (_GROUP_PX * view.pixel)) + 1
+    if groups == 1:
+        return [(np.zeros(3), tiles)]
+    uv = seen_at((view.tiles[tiles] @ attitude.T).astype(np.float64), view.rig, view.pose)
+    group = np.rint(groups * row_of(uv[:, 1], view.rig.camera.height)).astype(int)
+    return [(skew * (k / groups), tiles[group == k]) for k in np.unique(group)]
 
 
 def contrast_on_chart(view: TextureView, shown: ChartLight) -> Floats:
@@ -339,9 +386,7 @@ def weigh(
     """
     mean, odds, offset = seen.mean.copy(), seen.odds.copy(), seen.offset.copy()
     after = mean, odds, offset
-    kernels.weigh_static(
-        _samples(view, seen, seen.counts), picture[:2], attitude, after, noise, _FRAME_WEIGHT, settle, apart
-    )
+    kernels.weigh_static(_samples(seen, seen.counts), picture[:2], attitude, after, noise, _FRAME_WEIGHT, settle, apart)
     reach = 2 * (-(-(view.widths[0] - 1) // view.step)) + 1
     grid = np.zeros(view.number.shape, np.float32)
     grid.ravel()[view.place] = odds
@@ -349,14 +394,14 @@ def weigh(
     return seen._replace(mean=mean, odds=odds, offset=offset, least=least.ravel()[view.place])
 
 
-def _samples(view: TextureView, seen: Seen, odds: Floats) -> Samples:
+def _samples(seen: Seen, odds: Floats) -> Samples:
     """Return the samples as the native functions have them, with their log odds."""
-    return seen.contrast, view.direction, odds, seen.offset
+    return seen.contrast, seen.direction, odds, seen.offset
 
 
-def correlate(view: TextureView, seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:
+def correlate(seen: Seen, picture: Picture, attitudes: Array, most: int) -> Array:
     """Return the correlation, (n,), of a frame and the picture at attitudes, (n, 3, 3), by the `most` best samples."""
-    samples = _samples(view, seen, seen.counts)
+    samples = _samples(seen, seen.counts)
     return kernels.correlate_texture(samples, picture[:2], np.ascontiguousarray(attitudes), most)
 
 

@@ -33,6 +33,7 @@ from spheremouse.ball.texture.picture import (
     texture_spacing,
     texture_view,
     with_doubtful,
+    with_skew,
 )
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
@@ -144,6 +145,31 @@ class TextureState(NamedTuple):
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
 
+class Shutter(NamedTuple):
+    """A rolling shutter, and the motion from which the ball comes to a frame."""
+
+    readout: float  # s, time it takes over all rows
+    attitude: Array  # (3, 3) R_obj_ball
+    rate: Array  # (3,) rad/s, obj
+    since: float  # s
+
+    def skew(self, attitude: Array) -> Array:
+        """Return the rotation, (3,) rad in obj, of a ball that comes to `attitude`, (3, 3), while rows are exposed.
+
+        The rate changes evenly between the frames.
+        """
+        return (2.0 * rotation_between(self.attitude, attitude) / self.since - self.rate) * self.readout
+
+
+def exposed(now: TextureState, detector: TextureDetector, skew: Array) -> TextureState:
+    """Return the state with samples of a ball that turns by `skew`, (3,) rad in obj, while all rows are exposed."""
+    fine, coarse = (
+        level._replace(seen=with_skew(view, level.seen, skew))
+        for view, level in zip(detector.views, (now.fine, now.coarse), strict=True)
+    )
+    return now._replace(fine=fine, coarse=coarse)
+
+
 def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple[Alignment | None, bool]:
     """Return the alignment near an attitude, None if the frame does not fit, and whether samples out of doubt do."""
     found = align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
@@ -156,30 +182,39 @@ def near(detector: TextureDetector, now: TextureState, attitude: Array) -> tuple
     return (whole if found.used < _MIN_CHANGED_PART * whole.used and fits(whole) else None), False
 
 
-def search(detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool) -> Alignment | None:
+def search(
+    detector: TextureDetector, now: TextureState, attitude: Array | None, lost: bool, shutter: Shutter | None = None
+) -> tuple[Alignment | None, TextureState]:
     """Return the alignment of a frame by the coarse picture, from farther away; None if the frame fits nowhere.
 
     For a ball that is `lost`, this includes a part of all attitudes. A lost ball that repeats itself is not searched.
-    `attitude` is None if nothing is known of it.
+    `attitude` is None if nothing is known of it. The state has the samples as a rolling `shutter` shows them at the
+    attitude found.
     """
     if lost and now.repeats:
-        return None
+        return None, now
     for start in _start_attitudes(detector, now, attitude, lost):
-        found = _fit_from(detector, now, start)
+        found, at_frame = _fit_from(detector, now, start, shutter)
         if found is not None:
-            return None if is_ambiguous(detector, now, found) else found
-    return None
+            return (None if is_ambiguous(detector, at_frame, found) else found), at_frame
+    return None, now
 
 
-def _fit_from(detector: TextureDetector, now: TextureState, start: Array) -> Alignment | None:
+def _fit_from(
+    detector: TextureDetector, now: TextureState, start: Array, shutter: Shutter | None = None
+) -> tuple[Alignment | None, TextureState]:
     """Return the alignment with the coarse picture from `start`, then the fine one; None if the frame does not fit."""
+    if shutter is not None:
+        now = exposed(now, detector, shutter.skew(start))
     rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
     if not rough.correlation > MIN_CORRELATION:
-        return None
+        return None, now
+    if shutter is not None:
+        now = exposed(now, detector, shutter.skew(rough.attitude))
     found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
     usual = found.correlation > _MIN_USUAL_CORRELATION * now.usual and found.scale < _MAX_SEARCH_SCALE * now.usual_scale
     least = max(_MIN_SEARCH_SIGNIFICANCE, _MIN_USUAL_SIGNIFICANCE * now.usual_significance)
-    return found if fits(found) and usual and significance(found) > least else None
+    return (found if fits(found) and usual and significance(found) > least else None), now
 
 
 def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:
@@ -187,7 +222,7 @@ def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment)
 
     Attitudes that differ only about an axis that no pixel shows count as one.
     """
-    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    correlation = partial(correlate, now.coarse.seen, now.coarse.picture)
     for grid in _GRIDS:
         turns = grid[np.linalg.norm(log(grid) @ found.known, axis=1) > _MIN_RIVAL_ANGLE]
         if any(_is_rival(detector, now, found, start) for start in best_attitudes(correlation, turns @ found.attitude)):
@@ -204,7 +239,7 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
         return now
     turns = attitudes_of_part(now.compared, PARTS_OF_COMPARISON)
     attitudes = found.attitude @ turns[np.linalg.norm(log(turns), axis=1) > _MIN_RIVAL_ANGLE]
-    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    correlation = partial(correlate, now.coarse.seen, now.coarse.picture)
     glanced = np.argsort(-correlation(attitudes, _PRESELECTION_SAMPLES))[:_STARTS]
     likely = attitudes[glanced][correlation(attitudes[glanced], _SEARCH_SAMPLES) > MIN_CORRELATION]
     repeats = any(_is_rival(detector, now, found, start) for start in likely)
@@ -213,7 +248,7 @@ def compared_with_itself(detector: TextureDetector, now: TextureState, found: Al
 
 def _is_rival(detector: TextureDetector, now: TextureState, found: Alignment, start: Array) -> bool:
     """Return whether a frame that fits at an attitude fits as well at another one, near `start`."""
-    other = _fit_from(detector, now, start)
+    other, _ = _fit_from(detector, now, start)
     if other is None or significance(other) < _MIN_RIVAL_SIGNIFICANCE * significance(found):
         return False
     return bool(np.linalg.norm(found.known @ rotation_between(found.attitude, other.attitude)) > 0.5 * _MIN_RIVAL_ANGLE)
@@ -238,7 +273,7 @@ def _start_attitudes(
     They are the predicted `attitude`, the best ones near it, and the best ones farther away. For a `lost` ball follow
     the best of a part of all attitudes. If `attitude` is None, and the ball is not lost, there are none.
     """
-    correlation = partial(correlate, detector.coarse, now.coarse.seen, now.coarse.picture)
+    correlation = partial(correlate, now.coarse.seen, now.coarse.picture)
     if attitude is not None:
         yield attitude
         for turns in _GRIDS:

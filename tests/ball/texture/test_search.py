@@ -69,7 +69,7 @@ def test_a_step_is_found_in_the_frame_that_follows_it(degrees):
     for seed in range(10):
         before = random_turn(rng)
         R = random_turn(rng, degrees) @ before
-        found = search(DETECTOR, state_at(waves(seed % 2), R, rng), before, lost=False)
+        found, _ = search(DETECTOR, state_at(waves(seed % 2), R, rng), before, lost=False)
         assert found is not None
         assert is_right(found, R)
 
@@ -79,7 +79,7 @@ def test_a_lost_ball_is_found_at_any_attitude_within_two_seconds():
     for seed in range(8):
         last, R, found = random_turn(rng), random_turn(rng), None
         for turn in range(PARTS):
-            found = search(DETECTOR, state_at(waves(seed % 2), R, rng, turn=turn), last, lost=True)
+            found, _ = search(DETECTOR, state_at(waves(seed % 2), R, rng, turn=turn), last, lost=True)
             if found is not None:
                 break
         assert found is not None
@@ -92,14 +92,14 @@ def test_another_texture_fits_nowhere():
         now = state_at(waves(100 + seed), random_turn(rng), rng, learnt=waves(seed % 2), turn=seed)
         before = random_turn(rng)
         assert near(DETECTOR, now, before) == (None, False)
-        assert search(DETECTOR, now, before, lost=seed % 2 == 1) is None
+        assert search(DETECTOR, now, before, lost=seed % 2 == 1)[0] is None
 
 
 def test_noise_alone_fits_nowhere():
     rng = np.random.default_rng(5)
     for seed in range(6):
         now = state_at(plain, np.eye(3), rng, learnt=waves(seed % 2), turn=seed)
-        assert search(DETECTOR, now, random_turn(rng), lost=True) is None
+        assert search(DETECTOR, now, random_turn(rng), lost=True)[0] is None
 
 
 def test_a_texture_of_rings_tells_nothing_of_the_turn_about_their_axis():
@@ -126,7 +126,7 @@ def test_a_pattern_that_repeats_itself_is_found_nowhere_unless_by_its_prediction
         assert turns
         assert fit is not None
         assert is_ambiguous(DETECTOR, now, fit)
-    assert search(DETECTOR, now, exp(np.array([0.0, 0.0, 0.12])), lost=False) is None
+    assert search(DETECTOR, now, exp(np.array([0.0, 0.0, 0.12])), lost=False)[0] is None
     once = state_at(waves(0), np.eye(3), rng)
     fit, _ = near(DETECTOR, once, np.eye(3))
     assert fit is not None
@@ -144,7 +144,7 @@ def test_a_ball_is_compared_with_itself_at_all_attitudes(texture, expected):
         assert now.repeats or now.compared == part + 1
     assert now.repeats == expected
     seen = state_at(texture, random_turn(rng, 100.0), rng)._replace(usual=0.9, repeats=now.repeats)
-    found = [search(DETECTOR, seen._replace(frame_index=k), None, lost=True) for k in range(PARTS)]
+    found = [search(DETECTOR, seen._replace(frame_index=k), None, lost=True)[0] for k in range(PARTS)]
     assert any(found) != expected
 
 
