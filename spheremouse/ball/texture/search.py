@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.appearance import clear_mask
+from spheremouse.ball.detect.appearance import clear_mask, seen_at
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
 from spheremouse.ball.rig import Rig
@@ -36,7 +36,7 @@ from spheremouse.ball.texture.picture import (
     with_skew,
 )
 from spheremouse.errors import ConfigurationError
-from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.camera import Pose, row_of
 from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
 _COARSE_FACTOR = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
@@ -56,6 +56,7 @@ _MIN_RIVAL_ANGLE, _MIN_RIVAL_SIGNIFICANCE = float(np.radians(6.0)), 0.7
 _SEARCH_SAMPLES, _PRESELECTION_SAMPLES = 200, 50  # samples
 _MAX_FULL_ATTITUDES = 1000  # attitudes that are looked at with all samples
 _STARTS = 4  # attitudes of a search from which an alignment starts
+_SKEW_SIGMA = 0.05  # rad, of a rotation while rows are exposed: a rate in doubt by 200 °/s, and 15 ms
 FRAMES_PER_SEARCH = 64  # of all attitudes: each frame tries another part of them
 PARTS_OF_COMPARISON = 4096  # of the ball with itself
 
@@ -203,18 +204,42 @@ def search(
 def _fit_from(
     detector: TextureDetector, now: TextureState, start: Array, shutter: Shutter | None = None
 ) -> tuple[Alignment | None, TextureState]:
-    """Return the alignment with the coarse picture from `start`, then the fine one; None if the frame does not fit."""
-    if shutter is not None:
-        now = exposed(now, detector, shutter.skew(start))
+    """Return the alignment with the coarse picture from `start`, then the fine one; None if the frame does not fit.
+
+    Each attitude expects another rate, and so other rows of a rolling shutter. A fine alignment that fits shows how the
+    rows differ from that, and is made again.
+    """
+
+    def exposed_at(attitude: Array) -> TextureState:
+        return now if shutter is None else exposed(now, detector, shutter.skew(attitude))
+
+    def fine_from(attitude: Array) -> Alignment:
+        return align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
+
+    now = exposed_at(start)
     rough = align(detector.coarse, now.coarse.seen, now.coarse.picture, start, now.noise)
     if not rough.correlation > MIN_CORRELATION:
         return None, now
-    if shutter is not None:
-        now = exposed(now, detector, shutter.skew(rough.attitude))
-    found = align(detector.fine, now.fine.seen, now.fine.picture, rough.attitude, now.noise)
+    now = exposed_at(rough.attitude)
+    found = fine_from(rough.attitude)
+    if shutter is not None and fits(found):
+        skew = now.fine.seen.skew + _unexplained_skew(detector.fine, found)
+        now = exposed(now, detector, skew)
+        found = fine_from(found.attitude)
     usual = found.correlation > _MIN_USUAL_CORRELATION * now.usual and found.scale < _MAX_SEARCH_SCALE * now.usual_scale
     least = max(_MIN_SEARCH_SIGNIFICANCE, _MIN_USUAL_SIGNIFICANCE * now.usual_significance)
     return (found if fits(found) and usual and significance(found) > least else None), now
+
+
+def _unexplained_skew(view: TextureView, found: Alignment) -> Array:
+    """Return the rotation, (3,) rad in obj, while rows are exposed, that explains how parts differ from the whole.
+
+    A part of row r differs from the alignment of the whole by r times that rotation (least squares).
+    """
+    row = row_of(seen_at(view.anchors @ found.attitude.T, view.rig, view.pose)[:, 1], view.rig.camera.height)
+    row = np.clip(np.nan_to_num(row), -0.5, 0.5)
+    H = np.einsum("k,kij->ij", row**2, found.information) + np.eye(3) / _SKEW_SIGMA**2
+    return np.linalg.solve(H, row @ found.gradient)
 
 
 def is_ambiguous(detector: TextureDetector, now: TextureState, found: Alignment) -> bool:

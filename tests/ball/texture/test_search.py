@@ -7,7 +7,9 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.picture import Alignment, align, shows_all_axes
 from spheremouse.ball.texture.search import (
     PARTS_OF_COMPARISON,
+    Shutter,
     compared_with_itself,
+    exposed,
     fits,
     is_ambiguous,
     near,
@@ -72,6 +74,24 @@ def test_a_step_is_found_in_the_frame_that_follows_it(degrees):
         found, _ = search(DETECTOR, state_at(waves(seed % 2), R, rng), before, lost=False)
         assert found is not None
         assert is_right(found, R)
+
+
+def test_a_ball_that_stops_while_rows_are_exposed_is_found_by_the_rate_that_leads_there():
+    """It turns at 400 °/s and stops within a frame of 30 Hz. In 15 ms it would turn by 6°."""
+    rng, dt, readout = np.random.default_rng(12), 1.0 / 30.0, 0.015
+    for seed in range(6):
+        before = random_turn(rng)
+        rate = np.radians(400.0) * log(random_turn(rng, 1.0)) / np.radians(1.0)
+        R = exp(0.5 * dt * rate) @ before  # the rate falls evenly to zero
+        now, expected = state_at(waves(seed % 2), R, rng), exp(dt * rate) @ before
+        shutter = Shutter(readout, before, rate, dt)
+        assert np.allclose(shutter.skew(R), 0.0, atol=1e-12)
+        assert np.allclose(shutter.skew(expected), readout * rate)
+        now = exposed(now, DETECTOR, readout * rate)
+        found, at_frame = search(DETECTOR, now, expected, lost=False, shutter=shutter)
+        assert found is not None
+        assert is_right(found, R)
+        assert np.linalg.norm(at_frame.fine.seen.skew) < np.radians(0.5)
 
 
 def test_a_lost_ball_is_found_at_any_attitude_within_two_seconds():
