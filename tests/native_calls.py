@@ -102,7 +102,7 @@ def run() -> None:
     for frame in frames[:8]:
         state = step(state, frame, patterned).state
     learnt = state.search
-    correlate(patterned.detector_data.fine, learnt.fine.seen, learnt.fine.picture, learnt.began[None], 50)
+    correlate(learnt.fine.seen, learnt.fine.picture, learnt.began[None], 50)
     known = directions(12, 0)
     turn = exp(np.array([0.2, -0.1, 0.3]))
     seen = (known @ turn.T)[(known @ turn.T)[:, 2] > 0.2]
