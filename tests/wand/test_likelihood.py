@@ -117,7 +117,7 @@ def test_measured_edges_lie_on_the_true_outline(view, factor):
     assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # outward normals
 
 
-@pytest.mark.parametrize(("inside", "outside"), [(0.8, 0.02), (0.02, 0.8)])
+@pytest.mark.parametrize(("inside", "outside"), [(0.8, 0.02), pytest.param(0.02, 0.8, marks=pytest.mark.slow)])
 def test_an_edge_is_where_a_pixel_has_half_the_light(view, inside, outside):
     """Light mixes linearly, and grey values do not: half the light of 0.8 is far more than half its grey value."""
     _, m, p, R, image = view
