@@ -61,6 +61,7 @@ def test_closing_the_window_ends_the_game(game):
     assert game.play(samples()) == 0
 
 
+@pytest.mark.slow
 def test_demo_plays_the_game_with_a_simulated_ball(game):
     command = [sys.executable, "-m", "spheremouse", "demo", "--play", "--seconds", "2"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)

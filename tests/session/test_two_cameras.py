@@ -257,6 +257,7 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world):
     assert not any(text.startswith("lost") for text in world.said)
 
 
+@pytest.mark.slow
 def test_a_recording_is_of_the_first_camera_alone_also_while_it_is_gone(world):
     """What is kept of its picture would show the person in that of the other."""
     world.start()

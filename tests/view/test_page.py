@@ -322,6 +322,7 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
     wait_for("the default", lambda: field(page, "expert", "blobs.area").input_value() != "[50, 300]")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["mouse", "keys", "numbers"])
 def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
     begin_drawing(page)

@@ -114,6 +114,7 @@ def test_a_search_over_several_pictures_equals_a_complete_one():
     assert best == pytest.approx(float(whole.score[0]), rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("glares", [0, 2])
 def test_assignment_of_spots_equals_its_twin(glares):
     """Spots of a ball, with errors, and one of another thing."""

@@ -111,6 +111,7 @@ def bullseye(height, width, step=4):
     return image
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dots", "cells", "within one another", "dots within rings"])
 def test_the_pairs_that_are_looked_at_are_in_proportion_to_the_picture(kind, monkeypatch):
     """Not to the square of the spots: as many of one size as a place has room for, whatever else lies there."""
@@ -256,6 +257,7 @@ def test_whole_pictures_are_looked_through_elsewhere_and_the_pose_is_that_of_her
     assert np.array_equal(worker.pose.position, at_once.pose.position)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stale", [False, True])
 def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
     """And where it was moved on before that was done, what was found is of the past, and it is sought again."""

@@ -67,6 +67,7 @@ def error(step_, truth, at, there):
     return np.degrees(np.linalg.norm(log(step_.estimate.rotation @ (turned @ at.estimate.rotation).T)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "frames"), [(0, 1), (0, 30), (120, 300), (255, 3)])
 def test_pictures_before_the_ball_is_seen_do_not_keep_it_from_being_tracked(film, level, frames):
     """Cameras give black frames first, and the program may start while a cap is on."""

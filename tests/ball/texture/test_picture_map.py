@@ -126,6 +126,7 @@ def test_the_next_run_knows_the_attitude_from_the_picture_alone(first_run, k):
     assert again is None or found.compare_at(again, np.eye(3)).same_ball
 
 
+@pytest.mark.slow
 def test_another_ball_is_never_taken_for_the_saved_one_and_begins_anew(first_run):
     _, tracker, found, _ = first_run
     options = SimulationOptions(pattern="speckle", motion="roll", turns=0.75, seconds=6.0, noise=3.0, size=(320, 240))
@@ -135,6 +136,7 @@ def test_another_ball_is_never_taken_for_the_saved_one_and_begins_anew(first_run
     assert not any(s.state.absolute for s in steps)
 
 
+@pytest.mark.slow
 def test_a_picture_without_details_says_nothing_against_the_saved_one(first_run):
     made, tracker, found, _ = first_run
     cover = [replace(made[0].frame, image=np.full_like(made[0].frame.image, 90), stamp=n * 0.1) for n in range(150)]

@@ -153,6 +153,7 @@ def test_a_pattern_that_repeats_itself_is_found_nowhere_unless_by_its_prediction
     assert not is_ambiguous(DETECTOR, once, fit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("texture", "expected"), [(repeated, True), (waves(0), False)], ids=["repeated", "once"])
 def test_a_ball_is_compared_with_itself_at_all_attitudes(texture, expected):
     rng = np.random.default_rng(10)

@@ -174,6 +174,7 @@ def test_a_false_corner_is_left_out():
     assert [np.flatnonzero(~k).tolist() for k in found.kept] == [[17] if v == 3 else [] for v in range(10)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bow", "stretch"), [(0.0, 0.0), (0.02, 0.0), (0.0, 0.004), (-0.01, -0.002)])
 def test_a_board_need_not_be_flat_or_printed_true(bow, stretch):
     """A plate that bows by `bow` of half its diagonal, or a print stretched along its columns, shifts no camera."""

@@ -181,6 +181,7 @@ def test_covariances_are_true_over_many_calibrations(scale_free):
         assert low < np.mean(errors[name]) < high, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [1.0, 2.0, 5.0])
 def test_a_photo_before_which_the_ball_turned_does_not_count(degrees):
     """Its targets count. By chance some of its discs are near others."""

@@ -62,6 +62,7 @@ def grey(picture):
     return cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("paper", [pytest.param("a0", marks=pytest.mark.slow), "a4", "letter"])
 def test_every_page_has_its_paper_s_size_and_two_rulers_of_100_mm(paper):
     square = largest_square(BOARD, paper)

@@ -225,6 +225,7 @@ def test_nothing_that_moves_is_no_ball():
         start(rest, CAMERA)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_a_sheet_that_slides_is_no_ball(seed):
     """It fits a ball without end whose surface touches the camera."""

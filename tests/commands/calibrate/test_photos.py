@@ -49,6 +49,7 @@ def film(path, poses, rest=2):
     return f"video:{path}"
 
 
+@pytest.mark.slow
 def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_path, poses, monkeypatch):
     monkeypatch.setattr(photographing, "enough", lambda found: found.views >= 4)
     folder = tmp_path / "my cabinet"

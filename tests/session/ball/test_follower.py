@@ -75,6 +75,7 @@ def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_o
     assert told in lines[0]
 
 
+@pytest.mark.slow
 def test_a_lens_cap_put_on_in_play_is_told_within_two_seconds_and_forgotten_when_the_ball_is_seen_again():
     seen, _ = watched(
         SimulationOptions(seed=3, motion="play", noise=2.0, seconds=4.5, fps=15.0), covered=(1.0, 3.5), level=2
