@@ -113,15 +113,16 @@ def detect_texture(
     shown, light = detector.light(frame.image)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
     lost = state.status is Status.LOST or recognises
-    shutter = None if lost else _shutter(state, frame.stamp, tracker, predicted)
-    skew = np.zeros(3) if lost else predicted.rate * (tracker.rig.readout_s + predicted.readout)
-    now = _with_contrast(detector, before, shown, noise, skew)._replace(frame_index=before.frame_index + 1)
+    readout = 0.0 if lost else tracker.rig.readout_s + predicted.readout
+    now = _with_contrast(detector, before, shown, noise, readout * predicted.rate)
+    now = now._replace(frame_index=before.frame_index + 1)
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
     alignment, turns = near(detector, now, expected)
     if lost and not (now.turned or turns):
         alignment = None  # a static scene would fit
     searched = alignment is None and now.turned
     if searched:
+        shutter = _shutter(state, frame.stamp, readout)
         alignment, now = search(detector, now, None if recognises else expected, lost, shutter)
     elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
         alignment = None
@@ -160,11 +161,9 @@ def _begins(state: TrackState[So3State], detector: TextureDetector, before: Text
     return not (before.view is detector.fine or before.turned)
 
 
-def _shutter(
-    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
-) -> Shutter | None:
-    """Return the rolling shutter, and the last confirmed motion; None if all rows are exposed at once."""
-    readout, since = tracker.rig.readout_s + predicted.readout, stamp - state.confirmed_at
+def _shutter(state: TrackState[So3State], stamp: float, readout: float) -> Shutter | None:
+    """Return the shutter, which takes `readout` s, and the last confirmed motion; None if all rows are one exposure."""
+    since = stamp - state.confirmed_at
     if readout == 0.0 or since <= 0.0:
         return None
     return Shutter(readout, state.reported_attitude, state.filter.rate, since)

@@ -154,7 +154,6 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
     number = np.full(at[::step, ::step].shape, -1, np.int32)
     number[samples[::step, ::step]] = np.arange(np.count_nonzero(at))
     cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
-    rows = row_of(seen_at(direction[at], rig, pose)[:, 1], rig.camera.height)
     anchors, tiles = anchor_directions(), cell_directions(cells // TILE)
     # rad, from the middle of a tile to a corner
     reach = 2.0**0.5 * TILE * HALF / cells
@@ -171,7 +170,7 @@ def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) 
         np.flatnonzero(number >= 0),
         np.flatnonzero(at).astype(np.int32),
         np.ascontiguousarray(direction[at].T, dtype=np.float32),
-        rows.astype(np.float32),
+        rows_showing(direction[at], rig, pose).astype(np.float32),
         cells,
         tiles.reshape(-1, 3).astype(np.float32),
         chart.height(kernels.FACING) - reach,
@@ -227,6 +226,11 @@ def first_seen(view: TextureView, contrast: Floats) -> Seen:
 def without_past(seen: Seen) -> Seen:
     """Return the samples of a view that is new, though the ball is known: none is in doubt for what it showed first."""
     return seen._replace(first=np.full_like(seen.first, np.nan))
+
+
+def rows_showing(directions: Array, rig: Rig, pose: Pose) -> Array:
+    """Return the rows, (n,) from -1/2 at the image's top to 1/2, that show the ball at `directions`, (n, 3) obj."""
+    return row_of(seen_at(directions, rig, pose)[:, 1], rig.camera.height)
 
 
 def with_skew(view: TextureView, seen: Seen, skew: Array) -> Seen:
@@ -315,22 +319,21 @@ def _learn_tiles(
 ) -> Picture:
     learnt = Picture(*(part.copy() for part in picture))
     shown = contrast, view.number, seen.counts, seen.offset, view.step
-    for turn, part in _exposed_together(view, seen.skew, attitude, tiles):
-        kernels.learn_texture(shown, learnt, part, view.chart, exp(turn) @ attitude, _MAX_MEAN_VIEWS, forget)
+    for turned, part in _exposed_together(view, seen.skew, attitude, tiles):
+        kernels.learn_texture(shown, learnt, part, view.chart, turned, _MAX_MEAN_VIEWS, forget)
     return learnt
 
 
 def _exposed_together(view: TextureView, skew: Array, attitude: Array, tiles: Tiles) -> list[tuple[Array, Tiles]]:
-    """Return tiles in groups of about one exposure, (k,), each with the ball's turn, (3,) rad in obj, since the stamp.
+    """Return tiles in groups of about one exposure, (k,), each with the ball's attitude then, (3, 3).
 
-    Within a group the turn differs by less than a third of a pixel.
+    `attitude` is that at the stamp. Within a group the ball turns by less than a third of a pixel.
     """
     groups = int(np.linalg.norm(skew) / (_GROUP_PX * view.pixel)) + 1
     if groups == 1:
-        return [(np.zeros(3), tiles)]
-    uv = seen_at((view.tiles[tiles] @ attitude.T).astype(np.float64), view.rig, view.pose)
-    group = np.rint(groups * row_of(uv[:, 1], view.rig.camera.height)).astype(int)
-    return [(skew * (k / groups), tiles[group == k]) for k in np.unique(group)]
+        return [(attitude, tiles)]
+    group = np.rint(groups * rows_showing(view.tiles[tiles] @ attitude.T, view.rig, view.pose)).astype(int)
+    return [(exp(skew * (k / groups)) @ attitude, tiles[group == k]) for k in np.unique(group)]
 
 
 def contrast_on_chart(view: TextureView, shown: ChartLight) -> Floats:

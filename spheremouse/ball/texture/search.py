@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.appearance import clear_mask, seen_at
+from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
 from spheremouse.ball.rig import Rig
@@ -29,6 +29,7 @@ from spheremouse.ball.texture.picture import (
     align,
     correlate,
     light_on_charts,
+    rows_showing,
     texture_pixel,
     texture_spacing,
     texture_view,
@@ -36,7 +37,7 @@ from spheremouse.ball.texture.picture import (
     with_skew,
 )
 from spheremouse.errors import ConfigurationError
-from spheremouse.geometry.camera import Pose, row_of
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log, rotation_between
 
 _COARSE_FACTOR = 4  # times as large are the details of the coarse picture: it shows the way from four times as far
@@ -162,7 +163,7 @@ class Shutter(NamedTuple):
         return (2.0 * rotation_between(self.attitude, attitude) / self.since - self.rate) * self.readout
 
 
-def exposed(now: TextureState, detector: TextureDetector, skew: Array) -> TextureState:
+def exposed(detector: TextureDetector, now: TextureState, skew: Array) -> TextureState:
     """Return the state with samples of a ball that turns by `skew`, (3,) rad in obj, while all rows are exposed."""
     fine, coarse = (
         level._replace(seen=with_skew(view, level.seen, skew))
@@ -211,7 +212,7 @@ def _fit_from(
     """
 
     def exposed_at(attitude: Array) -> TextureState:
-        return now if shutter is None else exposed(now, detector, shutter.skew(attitude))
+        return now if shutter is None else exposed(detector, now, shutter.skew(attitude))
 
     def fine_from(attitude: Array) -> Alignment:
         return align(detector.fine, now.fine.seen, now.fine.picture, attitude, now.noise)
@@ -224,7 +225,7 @@ def _fit_from(
     found = fine_from(rough.attitude)
     if shutter is not None and fits(found):
         skew = now.fine.seen.skew + _unexplained_skew(detector.fine, found)
-        now = exposed(now, detector, skew)
+        now = exposed(detector, now, skew)
         found = fine_from(found.attitude)
     usual = found.correlation > _MIN_USUAL_CORRELATION * now.usual and found.scale < _MAX_SEARCH_SCALE * now.usual_scale
     least = max(_MIN_SEARCH_SIGNIFICANCE, _MIN_USUAL_SIGNIFICANCE * now.usual_significance)
@@ -236,7 +237,7 @@ def _unexplained_skew(view: TextureView, found: Alignment) -> Array:
 
     A part of row r differs from the alignment of the whole by r times that rotation (least squares).
     """
-    row = row_of(seen_at(view.anchors @ found.attitude.T, view.rig, view.pose)[:, 1], view.rig.camera.height)
+    row = rows_showing(view.anchors @ found.attitude.T, view.rig, view.pose)
     row = np.clip(np.nan_to_num(row), -0.5, 0.5)
     H = np.einsum("k,kij->ij", row**2, found.information) + np.eye(3) / _SKEW_SIGMA**2
     return np.linalg.solve(H, row @ found.gradient)

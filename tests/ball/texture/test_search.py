@@ -87,7 +87,7 @@ def test_a_ball_that_stops_while_rows_are_exposed_is_found_by_the_rate_that_lead
         shutter = Shutter(readout, before, rate, dt)
         assert np.allclose(shutter.skew(R), 0.0, atol=1e-12)
         assert np.allclose(shutter.skew(expected), readout * rate)
-        now = exposed(now, DETECTOR, readout * rate)
+        now = exposed(DETECTOR, now, readout * rate)
         found, at_frame = search(DETECTOR, now, expected, lost=False, shutter=shutter)
         assert found is not None
         assert is_right(found, R)
