@@ -238,7 +238,7 @@ def judge(match: Match) -> Verdict:
 
 
 def _notes(match: Match) -> tuple[str, ...]:
-    """Return what is unusual in a match, and what no setting can express, in words."""
+    """Return the unusual findings of a match, and those that no setting can express, in words."""
     notes = []
     if abs(match.lag) > _MAX_LAG_OF_A_MOUSE_S:
         order = "ahead of" if match.lag > 0 else "behind"
