@@ -1,7 +1,6 @@
 """The command line as a user meets it: commands in, what stands on the two streams and the exit code out.
 
-One small simulated recording serves all; the damaged ones are made from its frames. What concerns signals and pipes
-runs in a process of its own, the rest in this one.
+One small simulated recording serves all; the damaged ones are made from its frames.
 """
 
 import hashlib
@@ -32,6 +31,7 @@ from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.timing import FrameTimes
+from spheremouse.session.worker import Worker
 
 QUICK = ("--set", "pose.frames=2")
 
@@ -295,35 +295,31 @@ def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_req
         cli.main()
 
 
-# ---- signals and pipes ----
+# ---- signals ----
 
 
-def start(words, **streams):
-    return subprocess.Popen(
-        [sys.executable, "-m", "spheremouse", *map(str, words)],
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        **streams,
-    )
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(
+    spheremouse, roll, tmp_path, monkeypatch, number
+):
+    """It arrives while the ninth frame is worked on."""
+    work = Worker.work
 
+    def work_and_signal(worker, arrival, colour=False):
+        made = work(worker, arrival, colour)
+        if worker.frames == 9:
+            os.kill(os.getpid(), number)
+        return made
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)], ids=["SIGTERM", "SIGINT"]
-)
-def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, tmp_path, number):
+    monkeypatch.setattr(Worker, "work", work_and_signal)
     video = tmp_path / "seen.mkv"
-    words = ("run", "--source", f"dataset:{roll}", "--realtime", "--output", "text:-", "--overlay", video, *QUICK)
-    process = start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    lines = [process.stdout.readline() for _ in range(9)]  # nine of 40 frames
-    process.send_signal(number)
-    out, err = "".join(lines) + process.stdout.read(), process.stderr.read()  # communicate() drops what is buffered
-    assert process.wait(timeout=20) == 0
-    table = motions(out)
-    assert 9 <= len(table) < 40
-    assert err.splitlines()[-1].startswith(f"{len(table)} frames; counts ")
+    words = ("--realtime", "--output", "text:-", "--overlay", video, *QUICK)
+    out, err = spheremouse.succeed("run", "--source", f"dataset:{roll}", *words)
+    assert len(motions(out)) == 9
+    assert err.splitlines()[-1].startswith("9 frames; counts ")
     assert "Traceback" not in err
     assert [p.name for p in tmp_path.iterdir()] == ["seen.mkv"]
-    assert video_frames(video) == len(table)
+    assert video_frames(video) == 9
 
 
 def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it():

@@ -7,6 +7,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,12 +16,14 @@ from unittest.mock import MagicMock, call
 import avr_board
 import numpy as np
 import pytest
+from reporting import PATIENCE
 from serial_world import Board, conversation
 from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
 from spheremouse.errors import OutputError
 from spheremouse.files.access import service_files
+from spheremouse.output import serial as output_module
 from spheremouse.output.serial import firmware, messages
 from spheremouse.output.serial import link as host
 
@@ -490,8 +493,10 @@ def test_a_check(simulated, tmp_path):
     assert "there already" in str(run("check", "--json", tmp_path / "found.json").exception)
 
 
-def test_a_check_over_a_bad_line(simulated):
+def test_a_check_over_a_bad_line(simulated, monkeypatch):
     """It repeats a question whose answer is lost, and reports many damaged frames."""
+    monkeypatch.setattr(output_module, "FIRST_ANSWER_TIMEOUT", PATIENCE)  # a busy machine repeats it less often
+    monkeypatch.setattr(output_module.Serial, "status", partialmethod(output_module.Serial.status, PATIENCE))
     with simulated(damage=0.02, seed=2) as board:
         results = [run("check", "--port", board.port) for _ in range(5)]
     assert all("frames," in result.output for result in results)

@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 import serial as pyserial
-from reporting import refused, report, until
+from reporting import PATIENCE, refused, report, until
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
 from spheremouse.output.serial import Serial
+from spheremouse.output.serial import link as link_module
 from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.messages import STOP, encode
 from spheremouse.output.serial.ports import find_board
@@ -64,7 +65,8 @@ def test_the_third_axis(board, third, moved):
     assert board.moved == moved
 
 
-def test_closing_passes_on_the_last_motion_and_releases_buttons(board):
+def test_closing_passes_on_the_last_motion_and_releases_buttons(board, monkeypatch):
+    monkeypatch.setattr(output_module, "CLOSE_TIMEOUT", PATIENCE)
     with opened(f"{board.port}") as output:
         output.hold(0b11)
         until(lambda: board.buttons == 0b11)
@@ -196,7 +198,8 @@ def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch)
 
 def test_a_stop_after_half_a_frame_arrives(board, monkeypatch):
     """The line takes half a frame and then nothing until the output closes."""
-    monkeypatch.setattr(output_module, "CLOSE_TIMEOUT", 60.0)  # not reached: all counts are confirmed
+    monkeypatch.setattr(output_module, "CLOSE_TIMEOUT", PATIENCE)  # not reached: all counts are confirmed
+    monkeypatch.setattr(link_module, "SILENCE", PATIENCE)  # this test may be late, and the session would end
     output = opened(f"{board.port}")
     write, main = ports_module.Port.write, threading.main_thread()
 
