@@ -20,9 +20,9 @@ def browser():
         browser.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def service(browser, tmp_path_factory):
-    """Return a service that tracks a film, with its page process."""
+    """Return a service that tracks a film, with its page process; it tracks until the last test of a module ends."""
     service = Service(tmp_path_factory.mktemp("view"))
     service.reach(state="tracking")
     yield service
