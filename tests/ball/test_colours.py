@@ -21,8 +21,8 @@ from spheremouse.tracker import Frame, Status
 WHITE, RED, BLUE, DARK, BLACK = (230, 230, 230), (30, 30, 200), (180, 40, 40), (40, 40, 40), (20, 20, 20)
 PAIRS = {"white-black": (None, None), "dark-white": (DARK, WHITE), "red-black": (RED, BLACK), "red-blue": (RED, BLUE),
          "red-white": (RED, WHITE)}  # fmt: skip
-pairs = pytest.mark.parametrize("pair", PAIRS)
 COLOURED = ("red-black", "red-blue", "red-white")
+QUICK = ("white-black", "dark-white", "red-blue")  # grey, its negative, and a colour
 
 
 def film(pair, seed=3, seconds=0.8, **more):
@@ -56,7 +56,7 @@ def worst(states, frames):
     return np.linalg.norm(error, axis=1).max()
 
 
-@pairs
+@pytest.mark.parametrize("pair", [pytest.param(p, marks=[] if p in QUICK else pytest.mark.slow) for p in PAIRS])
 def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
     sim, frames = film(pair)
     states, events, coloured, _ = run(sim, frames)
@@ -74,7 +74,9 @@ def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
         assert sum(coloured) <= 2  # the targets may ask for one, too
 
 
-@pytest.mark.parametrize("pair", ["dark-white", "red-white", "red-blue"])
+@pytest.mark.parametrize(
+    "pair", [pytest.param(p, marks=pytest.mark.slow) for p in ("dark-white", "red-white")] + ["red-blue"]
+)
 def test_hands_at_first_do_not_decide(pair):
     """A blank sheet with spots of skin hides the ball for half a second; the colours are found when it is gone."""
     sim, frames = film(pair, seconds=2.0, motion="roll", turns=0.1)

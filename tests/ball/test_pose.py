@@ -140,7 +140,7 @@ def directions_of(d, true, true_pose, rig, pose):
     return direction(np.zeros(10)), np.stack([(direction(e) - direction(-e)) / 2e-6 for e in steps], axis=-1)
 
 
-@views
+@pytest.mark.parametrize("view", [pytest.param(v, marks=[] if v == "bent" else pytest.mark.slow) for v in VIEWS])
 def test_a_calibrated_rig_gives_a_pose_and_directions_with_true_covariances(view):
     """Targets shifted in common, correlated with the radius: pose, its covariance with the ball, and what both give."""
     camera, pose = VIEWS[view]

@@ -47,7 +47,7 @@ def tilt(state, R):
     return np.linalg.norm(log(state.filter.attitude @ R.T))
 
 
-@pytest.mark.parametrize("spread", [None, 0.1])
+@pytest.mark.parametrize("spread", [None, pytest.param(0.1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("number", [10, pytest.param(15, marks=pytest.mark.slow)])
 def test_a_saved_map_is_used_among_false_candidates(number, spread):
     """Of 20 attitudes nearly all are recognised in the first frame, and each stays right while the ball starts."""

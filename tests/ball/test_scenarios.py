@@ -19,6 +19,7 @@ def test_a_disturbance_makes_no_jump(name):
     assert figures["missing_counts"] < 4.0
 
 
+@pytest.mark.slow
 def test_a_ball_that_sways_in_its_bearings_is_followed():
     """By 5 mm: a ball in its place would be off by a third of a degree. The outline shows it from the third frame."""
     swaying = Scenario("", film(motion="play", seconds=2.0, sway=5.0, noise=4.0))

@@ -482,7 +482,7 @@ def test_a_good_bearing_costs_nothing():
 
 
 @pytest.mark.parametrize("error", [-0.008, 0.008])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_wrong_radius_is_found(error, seed):
     """1.3 % too large or small: the centre is then at another distance. The discs show it, stated or not."""
     wrong = replace(RIG, ball=replace(RIG.ball, radius=RIG.ball.radius + error))
@@ -594,7 +594,7 @@ def _pushed(push, seconds, grey, **options):
     ("push", "grey"),
     [
         ((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), lambda *_: True),
-        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), lambda *_: False),
+        pytest.param((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), lambda *_: False, marks=pytest.mark.slow),
         ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), lambda state, stamp: not wants_colour(state, stamp)),
         ((0.6, 0.0, 0.0, 0.0, 0.03, 0.0), lambda state, stamp: not wants_colour(state, stamp)),  # below correlation
     ],

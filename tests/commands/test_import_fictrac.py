@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from conftest import shared
 from invoking import fail, invoke, succeed
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.calibrate.outline.fit import pinhole
 from spheremouse.commands import app
+from spheremouse.commands.ball import film
 from spheremouse.files import config as settings
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig
@@ -26,6 +28,13 @@ def listed(values, form="g"):
 def corners(R_lab_cam):
     """Corners in pixels of a square that lies along the animal's X and Y, in front of the camera."""
     return project(SQUARE @ R_lab_cam + (0.1, -0.2, 6.0), pinhole((320, 240), VFOV))[0]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _film_read_once():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("spheremouse.commands.ball.film", shared(film, lambda *words: words))
+        yield
 
 
 @pytest.fixture

@@ -18,9 +18,7 @@ SEATS = ("far-side", "camera-side", "left", "right")
 def told(turns, hz, *, sigma=0.0, unit=1.0, seed=0):
     """Gestures in a motion that frames see at `hz`, their places off by `sigma` rad each."""
     times = np.arange(0.0, turns.seconds, 1.0 / hz)
-    places = np.array(
-        [sum((np.array(g.axis) * g.turned(np.array([t]))[0] for g in turns.gestures), np.zeros(3)) for t in times]
-    )
+    places = sum((np.outer(g.turned(times)[0], g.axis) for g in turns.gestures), np.zeros((len(times), 3)))
     places = unit * (places + sigma * np.random.default_rng(seed).normal(size=places.shape))
     detector, found = GestureDetector(unit), []
     for stamp, way in zip(times[1:], np.diff(places, axis=0), strict=True):

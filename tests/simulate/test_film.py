@@ -177,7 +177,7 @@ def test_covered_pixels_have_the_centroid_and_area_of_the_projected_cap(scene, p
     assert np.allclose(ratio, 1.0, atol=0.01)
 
 
-@pytest.mark.parametrize("paint", [None, "patches", "dirt"])
+@pytest.mark.parametrize("paint", [None, pytest.param("patches", marks=pytest.mark.slow), "dirt"])
 def test_a_blurred_frame_is_the_mean_of_sharp_ones(small, paint):
     profile, exposure = play(20.0, rng(5)), 0.03
     t = fastest_time(profile)

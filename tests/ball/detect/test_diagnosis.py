@@ -20,6 +20,9 @@ def noisy(image, sigma=2.0):
     return np.clip(image + rng.normal(0.0, sigma, image.shape), 0, 255).astype(np.uint8)
 
 
+seeds = pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6, 7))])
+
+
 def darkened(image):
     return noisy(0.03 * image)
 
@@ -64,7 +67,7 @@ def test_light_and_focus(change, cause, size):
     assert why(change, size=size).cause is cause
 
 
-@pytest.mark.parametrize("seed", [5, 6, 7])
+@seeds
 def test_spots_of_the_wrong_polarity(seed):
     light = {"ball_colour": (40.0, 40.0, 40.0), "disc_colour": (230.0, 230.0, 230.0)}
     found = why(seed=seed, settings=DiscSettings(polarity="dark"), **light)
@@ -83,7 +86,7 @@ def test_discs_of_another_size_than_the_rig_says(disc):
     assert np.median(sizes) == pytest.approx(1.0 / disc, rel=0.3)  # away from the middle discs look smaller
 
 
-@pytest.mark.parametrize("seed", [5, 6, 7])
+@seeds
 def test_faint_discs(seed):
     found = why(seed=seed, ball_colour=GREY, disc_colour=(165.0, 165.0, 165.0), discs=40)
     assert found.cause is Cause.FAINT
@@ -116,8 +119,9 @@ def picture(sigma, noise=0.0):
 
 @pytest.mark.parametrize("sigma", [0.5, 1.0, 1.5, 2.0, 3.0])
 def test_the_blur_is_the_one_that_was_made(sigma):
-    assert blur_of(picture(sigma)) == pytest.approx(sigma, abs=0.06)
-    assert blur_of(cv2.cvtColor(picture(sigma), cv2.COLOR_GRAY2BGR)) == pytest.approx(sigma, abs=0.06)
+    grey = picture(sigma)
+    for image in (grey, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)):
+        assert blur_of(image) == pytest.approx(sigma, abs=0.06)
 
 
 def test_a_sharp_picture_is_below_half_a_pixel_and_an_empty_one_has_none():

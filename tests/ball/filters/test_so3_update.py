@@ -158,7 +158,7 @@ def moments(p, means, covariances):
 def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds, dt):
     """Without hypotheses below a thousandth of their mode, which are left out."""
     rng = np.random.default_rng(1)
-    for _ in range(10):
+    for _ in range(5):
         means, covariances, weights = drawn(rng, far)
         _, prior = moments(weights.sum(axis=1), means, covariances)
         body, points, H, R = frame(rng, prior, holds)

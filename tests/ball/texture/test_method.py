@@ -67,7 +67,7 @@ def test_the_attitude_follows_the_ball_and_no_motion_is_reported_before_it_turns
     assert np.allclose(turned, log(made[-1].attitude @ made[first].attitude.T), atol=0.01)
 
 
-@pytest.mark.parametrize("sigma", [0.0, UNKNOWN_READOUT])
+@pytest.mark.parametrize("sigma", [pytest.param(0.0, marks=pytest.mark.slow), UNKNOWN_READOUT])
 def test_a_rolling_shutter_pulls_nothing(sigma):
     """A webcam exposes its rows one after another. At 90 °/s the ball turns by 2.7° meanwhile, 4 px."""
     made, tracker = film("speckle", readout=0.03, turns=0.75, seconds=3.0)

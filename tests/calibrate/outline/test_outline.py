@@ -98,7 +98,9 @@ def speckled():
     return film(pattern="speckle", seed=3)
 
 
-@pytest.mark.parametrize(("pattern", "blur"), [("patches", 0.0), ("marble", 1.0), ("speckle", 0.6)])
+@pytest.mark.parametrize(
+    ("pattern", "blur"), [("patches", 0.0), pytest.param("marble", 1.0, marks=pytest.mark.slow), ("speckle", 0.6)]
+)
 def test_a_ball_that_turns_is_found_within_its_covariance(pattern, blur, speckled):
     images, camera, centre = speckled if pattern == "speckle" else film(pattern=pattern, seed=5)
     blurred = [cv2.GaussianBlur(image, (0, 0), blur) if blur else image for image in images]
