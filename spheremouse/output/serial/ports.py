@@ -88,7 +88,8 @@ class Port:
     def close(self) -> None:
         """Close the port, also a broken one. Bytes in the queue are dropped."""
         with contextlib.suppress(Exception):
-            self._port.reset_output_buffer()
+            if self.queued():  # a pseudo-terminal has none, and would drop what its other end has not read yet
+                self._port.reset_output_buffer()
         with contextlib.suppress(Exception):
             self._port.close()
 
