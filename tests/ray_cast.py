@@ -40,13 +40,11 @@ def directions_of(u, v, rig, pose):
         r2 = x * x + y * y
         shift = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)
         xy = (target - shift) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))[:, None]
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    ray = np.column_stack([xy, np.ones(len(xy))]) @ pose.rotation.T
     o = pose.position - rig.ball.centre
-    b = ray @ o
-    root = b * b - (o @ o - rig.ball.radius**2)
+    a, b = np.einsum("ij,ij->i", ray, ray), ray @ o
     with np.errstate(invalid="ignore"):
-        s = -b - np.sqrt(root)
+        s = -(b + np.sqrt(b * b - a * (o @ o - rig.ball.radius**2))) / a
     return (o + s[:, None] * ray) / rig.ball.radius
 
 
