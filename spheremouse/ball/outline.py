@@ -44,6 +44,11 @@ class SeenCentre(NamedTuple):
         """Covariance of the place, (2, 2) m²."""
         return self.scatter + self.common * np.eye(2)
 
+    @property
+    def squared_mahalanobis(self) -> float:
+        """Squared distance from its place in the rig, in standard deviations."""
+        return float(self.place @ np.linalg.solve(self.covariance, self.place))
+
 
 class SeenBall(NamedTuple):
     """The ball's size and centre by its outline."""

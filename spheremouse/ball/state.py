@@ -137,6 +137,13 @@ class OutlineCheck(NamedTuple):
         return self.away >= _MOVED_FRAMES
 
     @property
+    def shift(self) -> Array | None:
+        """The centre in the last frame, from its place in the first, (3,) m in obj; None if one is unknown."""
+        if self.seen is None or self.first is None:
+            return None
+        return self.seen.axes @ (self.seen.place - self.first.place)
+
+    @property
     def is_in_place(self) -> bool:
         """Return whether the outline of the last frame is where it was in the first."""
         return self.seen is not None and self.first is not None and self.away == 0

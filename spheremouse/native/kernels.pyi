@@ -95,6 +95,16 @@ def align_texture(
     across the tiles of each anchor.
     """
 
+def shift_of_texture(
+    samples: _Samples, picture: _Picture, R: _Float, noise: float, place: float, pixel: float,
+    camera: _Float, axes: _Float,
+) -> tuple[_Float, _Float]:  # fmt: skip
+    """Return the shift of the ball's centre along `axes`, (2, 3) obj, and its covariance, radii, near an attitude R.
+
+    The camera is at `camera`, (3,) radii from the ball's place in obj. The other arguments are those of
+    `align_texture`. A shift that no pixel shows is 0, with a huge covariance.
+    """
+
 def correlate_texture(samples: _Samples, picture: _Picture, attitudes: _Float, most: int) -> _Float:
     """Return the correlation, (k,), of picture and the `most` strongest samples at attitudes, (k, 3, 3)."""
 

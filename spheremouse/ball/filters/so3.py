@@ -53,6 +53,7 @@ _RARE = kernels.RARE  # probability per frame below which chance does not explai
 _LARGE_TWIST = 6.0  # rad/s: a third of `loss.fastest`, it counts by its logarithm
 _POINT_SIGMA = kernels.POINT_SIGMA  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _MAX_CANDIDATES = 6  # as many points are searched for each attitude; more points show the rotation without them
+_NO_PATH = np.zeros(3)
 _CENTRE_NOISE = 0.02  # radii/sqrt(s), of a centre that begins to move: it sinks by 10 mm in 0.2 s
 _KNOWN_RIG = 0.002  # relative, and in radii: standard deviation of lengths that photos measured: they stay considered
 _STILL_S = 1.0  # s of views of a still scene that count as one view
@@ -139,10 +140,10 @@ class So3Filter:
             others=tuple(other._replace(hidden=carried(other.hidden)) for other in state.others),
         )
 
-    def let_centre_move(self, state: So3State) -> So3State:
-        """Return the state with a ball whose centre has left its place and moves on."""
+    def let_centre_move(self, state: So3State, path: Array = _NO_PATH) -> So3State:
+        """Return the state with a ball whose centre has left its place, perhaps by `path`, (3,) m, and moves on."""
         noise, joint = (_CENTRE_NOISE * self.station.radius) ** 2, state.joint.copy()
-        move_centres(joint, noise * WANDER_S * np.eye(3), len(state.others))
+        move_centres(joint, noise * WANDER_S * np.eye(3) + np.outer(path, path), len(state.others))
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
     def with_rig_uncertainty(self, state: So3State) -> So3State:

@@ -24,7 +24,7 @@ from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, OutlineCheck, Tracker, TrackState, lost
 
-_MAX_DRIFT = 5e-3  # rad, of the place of a disc that was found while the centre moved unseen
+MAX_DRIFT = 5e-3  # rad, of the place of a disc that was found while the centre moved unseen
 _MIN_CENTRE_NOISE = 1e-3  # radii/sqrt(s), least noise of a centre that has moved
 _NOISE_TIME_S = 0.4  # time constant of the estimate of that noise
 # mean squared Mahalanobis distance above which the centre is off its place; in it, at most 3 are expected
@@ -35,7 +35,7 @@ _MAX_FRAME_NIS = 40.0  # largest squared Mahalanobis distance that one frame add
 _MIN_LOG_ODDS = 9.0  # nats, odds of 8000 to 1 for a wrong length in the rig
 _MAX_FRAME_LOG_ODDS = 3.0  # nats, largest contribution of one frame: a false pair is no proof
 # rad, turn after which a wrong place of the centre would have shown: a quarter of the visible side is new
-_PROOF_ROTATION = 0.5
+PROOF_ROTATION = 0.5
 _MIN_PAIRS = 5  # of discs, for an estimate of the centre: with three any shift fits, with four nearly
 _PROOF_SIGMA = 0.002  # radii, standard deviation of the shift with which a frame counts in full for that proof
 _HOME_TIME_S = 3.0  # time constant of the usual place
@@ -52,7 +52,7 @@ def check_learning(
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
         return state, ()
-    (check, _), outline = _update_evidence(state, _interval(before, stamp), tracker), state.outline
+    (check, _), outline = _update_evidence(state, interval(before, stamp), tracker), state.outline
     if check.evidence <= _MAX_MEAN_NIS and not outline.has_moved:
         return state._replace(centre=check), ()
     if not outline.is_in_place:
@@ -80,8 +80,8 @@ def check_bearings(
     no_doubt = state.centre.evidence < _NEGLIGIBLE_NIS and not _is_doubtful(state)
     if no_doubt and predicted.centre_noise == 0.0 and not state.outline.has_moved:
         return state, ()
-    radius, events = tracker.rig.ball.radius, ()
-    dt = _interval(before, stamp)
+    events = ()
+    dt = interval(before, stamp)
     check, shift = _update_evidence(state, dt, tracker)
     check = _update_odds(check, state, dt, tracker, predicted)
     refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
@@ -90,19 +90,30 @@ def check_bearings(
         state, predicted = _filtered_with_shift(before, state._replace(centre=check), stamp, tracker, predicted)
         check = state.centre
     elif predicted.centre_noise > 0.0 and state.confirmed:
-        noise = max(_learnt_noise(before.filter, state.filter, dt), (_MIN_CENTRE_NOISE * radius) ** 2)
-        state = state._replace(filter=replace(state.filter, centre_noise=noise))
+        state = with_learnt_noise(before, state, dt, tracker)
+    if check.turned < PROOF_ROTATION:
+        check = check._replace(home=state.filter.centre, turned=check.turned + _proof(state, shift, dt, tracker))
+        return state._replace(centre=check), events
+    state, more = with_usual_place(state._replace(centre=check), stamp, dt, tracker, predicted)
+    return state, (*events, *more)
+
+
+def with_usual_place(
+    state: TrackState[So3State], stamp: float, dt: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state with the usual place of the centre after a frame. A ball far from that is lost: it was lifted.
+
+    `predicted` is the filter's state predicted for the frame.
+    """
+    check, radius = state.centre, tracker.rig.ball.radius
     path = state.filter.centre - check.home
-    if check.turned >= _PROOF_ROTATION and float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
+    if float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         blind = replace(blind, rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
-        state = lost(state._replace(filter=blind, centre=check), lifted_at=stamp)
-        return state, (*events, BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0))
-    if check.turned < _PROOF_ROTATION:
-        check = check._replace(home=state.filter.centre, turned=check.turned + _proof(state, shift, dt, tracker))
-    else:
-        check = check._replace(home=check.home + (1.0 - math.exp(-dt / _HOME_TIME_S)) * path)
-    return state._replace(centre=check), events
+        state = lost(state._replace(filter=blind), lifted_at=stamp)
+        return state, (BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0),)
+    home = check.home + (1.0 - math.exp(-dt / _HOME_TIME_S)) * path
+    return state._replace(centre=check._replace(home=home)), ()
 
 
 def _filtered_with_shift(
@@ -118,8 +129,8 @@ def _filtered_with_shift(
     with that.
     """
     check, outline = state.centre, state.outline
-    in_doubt = check.turned < _PROOF_ROTATION and not check.moved
-    unproven = check.turned < _PROOF_ROTATION
+    in_doubt = check.turned < PROOF_ROTATION and not check.moved
+    unproven = check.turned < PROOF_ROTATION
     static = in_doubt and not outline.has_moved and check.odds_static > 0.0
     wrong_rig = not outline.has_moved and (
         _has_wrong_rig(check)
@@ -132,9 +143,11 @@ def _filtered_with_shift(
         predicted = tracker.filter.with_rig_uncertainty(predicted)
     if not wrong_rig:
         if unproven:
-            drift = min(outline.drift / tracker.rig.ball.radius, _MAX_DRIFT) if was_in_place else _MAX_DRIFT
-            predicted = _with_doubtful_map(predicted, drift)
-        predicted = with_doubtful_turn(predicted, before.outline, tracker)
+            drift = min(outline.drift / tracker.rig.ball.radius, MAX_DRIFT) if was_in_place else MAX_DRIFT
+            predicted = with_doubtful_map(predicted, drift)
+        outline_shift = before.outline.shift
+        if outline_shift is not None:
+            predicted = with_doubtful_turn(predicted, outline_shift, tracker)
         predicted = tracker.filter.let_centre_move(predicted)
         predicted = correct_by_outline(predicted, outline._replace(first=first))
     state = follow(before, stamp, tracker, predicted)
@@ -153,7 +166,7 @@ def back_on_bearings(
     return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
 
 
-def _interval(before: TrackState[So3State], stamp: float) -> float:
+def interval(before: TrackState[So3State], stamp: float) -> float:
     """Return the time, s, that a frame counts for after the state before it."""
     return min(max(stamp - before.filter.stamp, 1e-3), _MAX_INTERVAL_S)
 
@@ -169,9 +182,13 @@ def _update_evidence(
             return check, None
         C = shift.covariance + f.joint[CENTRE, CENTRE]
         squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)
-        squared = min(squared, _MAX_FRAME_NIS)
+    return with_evidence(check, squared, dt), shift
+
+
+def with_evidence(check: CentreCheck, squared: float, dt: float) -> CentreCheck:
+    """Return the check after a frame in which the squared Mahalanobis distance of the centre is `squared`."""
     keep = math.exp(-dt / _EVIDENCE_TIME_S)
-    return check._replace(evidence=keep * check.evidence + (1.0 - keep) * squared), shift
+    return check._replace(evidence=keep * check.evidence + (1.0 - keep) * min(squared, _MAX_FRAME_NIS))
 
 
 def _update_odds(
@@ -186,7 +203,7 @@ def _update_odds(
     f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _EVIDENCE_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
     rests, fits = float(f.rate @ f.rate) <= RESTS**2, f.nis <= LARGE_NIS * used
-    if check.turned >= _PROOF_ROTATION or check.moved or rests or used < 2 or fits:
+    if check.turned >= PROOF_ROTATION or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
     hypotheses = stage.with_rig_uncertainty(predicted), predicted, stage.let_centre_move(predicted)
@@ -205,7 +222,7 @@ def _has_wrong_rig(check: CentreCheck) -> bool:
 def _is_doubtful(state: TrackState[So3State]) -> bool:
     """Return whether the last frame may show that the centre is off, or has to prove that it is not."""
     f, used = state.filter, len(state.filter.used)
-    unproven = state.centre.turned < _PROOF_ROTATION and float(f.rate @ f.rate) > RESTS**2
+    unproven = state.centre.turned < PROOF_ROTATION and float(f.rate @ f.rate) > RESTS**2
     return unproven or f.nis > LARGE_NIS * used or used < len(state.points)
 
 
@@ -230,11 +247,20 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
     return speed * dt * min(1.0, (_PROOF_SIGMA * radius) ** 2 / max(variance, 1e-18))
 
 
-def _with_doubtful_map(state: So3State, doubt: float) -> So3State:
+def with_doubtful_map(state: So3State, doubt: float) -> So3State:
     """Return the state with discs as far off, rad, as the centre has moved unseen while they were found."""
     joint, discs = state.joint.copy(), np.arange(state.map_row, len(state.joint) - CLONE_DIM)
     joint[discs, discs] += doubt**2
     return replace(state, joint=joint)
+
+
+def with_learnt_noise(
+    before: TrackState[So3State], state: TrackState[So3State], dt: float, tracker: Tracker[So3Filter]
+) -> TrackState[So3State]:
+    """Return the state after a frame with the noise of the centre that frames show; `before` is that before it."""
+    least = (_MIN_CENTRE_NOISE * tracker.rig.ball.radius) ** 2
+    noise = max(_learnt_noise(before.filter, state.filter, dt), least)
+    return state._replace(filter=replace(state.filter, centre_noise=noise))
 
 
 def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:

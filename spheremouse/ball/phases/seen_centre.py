@@ -15,6 +15,7 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, with_seen_centre, with_uncertain_turn
 from spheremouse.ball.outline import seen_ball, seen_centre
 from spheremouse.ball.state import Events, OutlineCheck, Tracker, TrackState
+from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Status
 
 LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
@@ -75,12 +76,9 @@ def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:
     return with_seen_centre(predicted, seen.place - first.place, seen.axes, seen.scatter + first.scatter)
 
 
-def with_doubtful_turn(state: So3State, check: OutlineCheck, tracker: Tracker[So3Filter]) -> So3State:
-    """Return the state with the turn that a shift of the centre looked like as uncertain."""
-    if check.seen is None or check.first is None:
-        return state
-    step = check.seen.axes @ (check.seen.place - check.first.place) / tracker.rig.ball.radius
-    return with_uncertain_turn(state, np.cross(tracker.filter.station.towards, step))
+def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter]) -> So3State:
+    """Return the state with the turn as uncertain that a `shift` of the centre, (3,) m in obj, looked like."""
+    return with_uncertain_turn(state, np.cross(tracker.filter.station.towards, shift / tracker.rig.ball.radius))
 
 
 def _compared_with_first(check: OutlineCheck) -> OutlineCheck:

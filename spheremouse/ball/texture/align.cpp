@@ -1,4 +1,5 @@
-// Alignment of a frame with the picture of the ball: the attitude that explains the contrast of most pixels.
+// Alignment of a frame with the picture of the ball: the attitude that explains the contrast of most pixels, and the
+// shift of its centre.
 //
 // Gauss-Newton on SO(3) over the pixels where the picture changes within a pixel (Lucas and Kanade 1981; Baker and
 // Matthews 2004, "Lucas-Kanade 20 years on"), with the weights of Geman and McClure (1987, "Statistical methods for
@@ -18,6 +19,8 @@ constexpr int MOST_ROUNDS = 6;  // with some samples, and with all
 constexpr float YOUNG = 3.0f;   // views: the place of a cell with few follows the frames that taught it
 constexpr double NEAR = 2e-4;   // rad: a thirtieth of a pixel on a ball of 350 px; one step with all samples goes on
 constexpr double NEAR_SQUARED = 0.1;  // of a step over its covariance: a third of a standard deviation is near, too
+constexpr int SHIFT_ROUNDS = 3;       // with a shift of the centre
+constexpr double SINGULAR = 1e-9;     // share of all information, about an axis that no pixel shows
 constexpr size_t FEW = 2000;          // samples of which some show the way
 constexpr size_t MEDIAN_OF = 2000;    // residuals: their scale has a standard deviation of 2 %
 constexpr float FAR = 3.8f;           // standard deviations: 95 % efficiency for normal errors
@@ -51,11 +54,12 @@ class Residuals {
     std::vector<float> share, weight;     // of Geman and McClure's: 0 to 1; by variance
     std::vector<float> mild;              // weight by the root of the share: for the correlation
     std::vector<int> tile;                // of the picture
+    std::vector<int> pixel;               // its number
 
     size_t size() const { return size_; }
     void clear() { size_ = 0; }
     void make_room(size_t n);
-    void add(const Look& seen, const float* contrast, const Errors& errors);
+    void add(const Look& seen, const float* contrast, const Errors& errors, size_t first);
     float scale() const;
     void weigh(float scale);
     void weigh_tiles(std::vector<TileShare>& tiles);
@@ -63,14 +67,14 @@ class Residuals {
 
 void Residuals::make_room(size_t n) {
     if (tile.size() >= n) return;
-    tile.resize(n);
+    for (auto* column : {&tile, &pixel}) column->resize(n);
     for (auto* column :
          {&z, &value, &contrast, &variance, &square, &by_x, &by_y, &by_z, &feigned, &share, &weight, &mild})
         column->resize(n);
 }
 
-/// Add the residuals of pixels that the picture knows, where it changes. There is room for all of them.
-WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors& errors) {
+/// Add the residuals of pixels, from the `first` on, that the picture knows, where it changes. There is room for all.
+WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors& errors, size_t first) {
     const float noise = errors.noise * errors.noise, place = errors.place * errors.place,
                 least = noise / (errors.angle * errors.angle);
     const float bent = 2.0f * place / (errors.angle * errors.angle);  // slopes along a contour, by errors of its places
@@ -90,7 +94,7 @@ WIDE void Residuals::add(const Look& seen, const float* contrasts, const Errors&
         variance[n] = variances[i], square[n] = squares[i];
         by_x[n] = seen.by_x[i], by_y[n] = seen.by_y[i], by_z[n] = seen.by_z[i];
         feigned[n] = slope_errors[i];
-        tile[n] = seen.tile[i];
+        tile[n] = seen.tile[i], pixel[n] = int(first + i);
         n += size_t(counts[i]);
     }
     size_ = n;
@@ -213,7 +217,7 @@ Aligned align(const Samples& samples, const Picture& picture, const Errors& erro
             found.clear();
             for (size_t i = 0; i < pixels.size(); i += Look::MOST) {
                 seen.at(picture, towards, &pixels.x[i], &pixels.y[i], &pixels.z[i], pixels.size() - i);
-                found.add(seen, pixels.contrast.data() + i, errors);
+                found.add(seen, pixels.contrast.data() + i, errors, i);
             }
             r.used = int(found.size());
             r.converged = false;
@@ -278,6 +282,109 @@ nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, do
                           r.known.tilt);
 }
 
+/// Where pixels see a ball whose centre is off its place, and how that looks like a rotation.
+///
+/// All lengths are in radii, and all vectors in obj.
+struct ShiftedBall {
+    Vector3f camera;                 // from the ball's place
+    Eigen::Matrix<float, 3, 2> axes;  // of the shift
+    Pixels seen{};                   // with the directions, from the centre, of the places that they see
+    std::vector<Eigen::Matrix<float, 3, 2>> turns{};  // that move such a place as a shift by 1 along each axis does
+
+    /// Set the directions for a ball off its place by `shift`. In its place, the `pixels` see it in their directions.
+    void move(const Pixels& pixels, const Eigen::Vector2f& shift);
+};
+
+void ShiftedBall::move(const Pixels& pixels, const Eigen::Vector2f& shift) {
+    const Vector3f off = axes * shift;
+    turns.resize(pixels.size());
+    for (size_t i = 0; i < pixels.size(); i++) {
+        const Vector3f u(pixels.x[i], pixels.y[i], pixels.z[i]), ray = (u - camera) / (u - camera).dot(u);
+        const Vector3f place = (u - off + off.dot(u) * ray).normalized();  // on the same ray
+        seen.x[i] = place[0], seen.y[i] = place[1], seen.z[i] = place[2];
+        for (int k = 0; k < 2; k++) turns[i].col(k) = place.cross(axes.col(k) - axes.col(k).dot(u) * ray);
+    }
+}
+
+/// The normal equations of a rotation in axes of the ball, and of a shift of its centre.
+struct ShiftSums {
+    Matrix<5> H = Matrix<5>::Zero();
+    Vector<5> g = Vector<5>::Zero();
+
+    ShiftSums(const Residuals& r, const ShiftedBall& ball, const Matrix3f& R);
+};
+
+ShiftSums::ShiftSums(const Residuals& r, const ShiftedBall& ball, const Matrix3f& R) {
+    double sum[20] = {};
+    for (size_t i = 0; i < r.size(); i++) {
+        const Vector3f by(r.by_x[i], r.by_y[i], r.by_z[i]);
+        const Eigen::Vector2f by_shift = ball.turns[size_t(r.pixel[i])].transpose() * (R * by);
+        const float a[6] = {by[0], by[1], by[2], by_shift[0], by_shift[1], r.z[i]};
+        for (int m = 0, at = 0; m < 5; m++)
+            for (int n = m; n < 6; n++) sum[at++] += double(r.weight[i] * a[m] * a[n]);
+    }
+    for (int m = 0, at = 0; m < 5; m++) {
+        for (int n = m; n < 5; n++) H(m, n) = H(n, m) = sum[at++];
+        g(m) = sum[at++];
+    }
+    H.diagonal().array() += SINGULAR * H.trace();  // a pattern with an axis of symmetry shows no rotation about it
+}
+
+/// A shift of the ball's centre, radii, and its covariance; huge if too few pixels count.
+struct Shift {
+    Vector<2> place = Vector<2>::Zero();
+    Matrix<2> covariance = 1e6 * Matrix<2>::Identity();
+};
+
+/// Return the shift that explains pixels, from an attitude that does so as far as one can.
+Shift shift_of(const Samples& samples, const Picture& picture, const Errors& errors, Matrix<3> R, ShiftedBall& ball) {
+    Pixels pixels;
+    pixels.take(samples, STATIC_ODDS);
+    ball.seen = pixels;
+    Residuals found;
+    found.make_room(pixels.size() + 1);
+    std::vector<TileShare> tiles(size_t(6 * picture.tiles() * picture.tiles()));
+    Shift shift;
+    Look seen;
+    for (int round = 0; round < SHIFT_ROUNDS; round++) {
+        ball.move(pixels, shift.place.cast<float>());
+        const Matrix3f at = R.cast<float>(), towards = at.transpose();
+        found.clear();
+        for (size_t i = 0; i < pixels.size(); i += Look::MOST) {
+            seen.at(picture, towards, &ball.seen.x[i], &ball.seen.y[i], &ball.seen.z[i], pixels.size() - i);
+            found.add(seen, pixels.contrast.data() + i, errors, i);
+        }
+        if (found.size() < 10) return {};
+        found.weigh(found.scale());
+        found.weigh_tiles(tiles);
+        const ShiftSums sums(found, ball, at);
+        const Matrix<5> covariance = sums.H.inverse();
+        const Vector<5> dx = covariance * sums.g;
+        if (!dx.allFinite()) return {};
+        R = R * exp(Vector<3>(dx.head<3>()));
+        shift.place += dx.tail<2>();
+        shift.covariance = std::max(1.0, double(found.size()) / MOST) * covariance.bottomRightCorner<2, 2>();
+    }
+    return shift;
+}
+
+/// Return the shift, (2,) radii along `axes`, (2, 3), of the ball's centre from its place, and its covariance.
+///
+/// `R` is an attitude that explains the samples as far as one does. The camera's place is in radii from the ball's.
+nb::tuple shift_of_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R_, double noise, double place,
+                           double pixel, nb::handle camera, nb::handle axes) {
+    const Samples samples = read_samples(samples_);
+    const Picture picture = read_picture(picture_);
+    const Matrix<3> R = matrix<3, 3>(R_, "R");
+    ShiftedBall ball{vector<3>(camera, "camera").cast<float>(), matrix<2, 3>(axes, "axes").transpose().cast<float>()};
+    Shift shift;
+    {
+        nb::gil_scoped_release release;
+        if (R.isUnitary(1e-3)) shift = shift_of(samples, picture, {float(noise), float(place), float(pixel)}, R, ball);
+    }
+    return nb::make_tuple(to_numpy(shift.place), to_numpy(shift.covariance));
+}
+
 /// Return the `most` samples of greatest contrast that may turn with the ball.
 Pixels strongest(const Samples& samples, int most) {
     Pixels all, found;
@@ -327,6 +434,8 @@ NewArray<double> correlate_texture(nb::tuple samples_, nb::tuple picture_, nb::h
 void bind_align(nb::module_& m) {
     m.def("align_texture", &align_texture, arg("samples"), arg("picture"), arg("R"), arg("noise"), arg("place"),
           arg("pixel"), arg("anchor_of"), arg("across"));
+    m.def("shift_of_texture", &shift_of_texture, arg("samples"), arg("picture"), arg("R"), arg("noise"), arg("place"),
+          arg("pixel"), arg("camera"), arg("axes"));
     m.def("correlate_texture", &correlate_texture, arg("samples"), arg("picture"), arg("attitudes"), arg("most"));
 }
 

@@ -18,6 +18,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 
+IN_PLACE = np.zeros(2)  # px, shift of a ball in a good bearing
 _MIN_FACING = 0.15  # a pixel there shows seven times as much of the ball as in the middle
 
 
@@ -67,9 +68,19 @@ class Resampling(NamedTuple):
     at: tuple[NDArray[np.int32], NDArray[np.uint16]]
     inside: Image  # (size, size) of the chart, 255 on the ball and in the image, 0 elsewhere
 
-    def __call__(self, image: Image) -> Image:
-        """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size); 0 beside the ball."""
+    def __call__(self, image: Image, shift: Array = IN_PLACE) -> Image:
+        """Return the grey values of an image, (h, w) or (h, w, 3), on the chart, (size, size); 0 beside the ball.
+
+        The ball's image is off its place by `shift`, (2,) px.
+        """
+        rows, columns = self.window
         part = image[self.window]
+        if shift.any():
+            to_image = np.array([[1.0, 0.0, columns.start + shift[0]], [0.0, 1.0, rows.start + shift[1]]])
+            size = part.shape[1], part.shape[0]
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            moved = cv2.warpAffine(image, to_image, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            part = np.asarray(moved, np.uint8)
         grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
         mean = np.asarray(cv2.blur(grey, (self.width, self.width)), np.uint8)
         return kernels.resample_chart(mean, *self.at, self.inside)

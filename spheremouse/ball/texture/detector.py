@@ -17,6 +17,7 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.texture.method import TURNING, detect_texture
 from spheremouse.ball.texture.picture import (
+    SHADING_PX,
     contrast_noise,
     contrast_of_samples,
     grain_of,
@@ -32,7 +33,6 @@ from spheremouse.tracker import Frame
 _ANCHOR_ANGLE = 0.1  # rad, of an anchor: they are six times as far apart
 _MARK = 0.03  # radii
 _BESIDE = 1  # px beside the ball, that interpolation may read with a weight too small to leave them out
-_SHADING_PX = 0.1  # by which light that stands still shifts a contour
 
 
 _WORDS = Words(
@@ -73,7 +73,7 @@ class Texture:
         about = np.outer(towards, towards)
         focal, radius = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
         covariance = np.zeros((10, 10))
-        covariance[3:6, 3:6] = _SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
+        covariance[3:6, 3:6] = SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
         return covariance
 
     def prepare(self, rig: Rig, pose: Pose, settings: Settings, before: object = None) -> TextureDetector:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.projection import GREY, sample_weights_of
+from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.texture.chart import Chart, Resampling
@@ -49,6 +50,7 @@ DETAIL = 8.0  # samples of one detail of the contrast, which are not independent
 _FRAME_WEIGHT = 0.2  # of a frame in the mean contrast
 _MIN_SKEW_PX = 0.1  # px of the chart, by which a rolling shutter shifts a sample: less does not count
 _GROUP_PX = 0.3  # px of the chart, by which the ball turns while a group of tiles is exposed
+SHADING_PX = 0.1  # by which light that stands still shifts a contour
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
 
 
@@ -281,6 +283,27 @@ def align_samples(
     """Return the attitude near `attitude`, (3, 3), that explains samples. `noise` is that of a contrast."""
     attitude = np.ascontiguousarray(attitude)
     return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
+
+
+def seen_shift(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> SeenCentre:
+    """Return the ball's centre by a frame that shows it near an attitude, (3, 3), relative to where it is expected.
+
+    A shift across the line of sight looks like a rotation in the middle of the ball, but not towards its outline.
+    """
+    ball = view.rig.ball
+    axes = view.chart.axes[:2]
+    shift, covariance = kernels.shift_of_texture(
+        _samples(seen, seen.turning),
+        picture[:2],
+        np.ascontiguousarray(attitude),
+        noise,
+        _CONTOUR_PX * view.pixel,
+        view.pixel,
+        (view.pose.position - ball.centre) / ball.radius,
+        np.ascontiguousarray(axes),
+    )
+    scatter = DETAIL * ball.radius**2 * covariance
+    return SeenCentre(ball.radius * shift, axes.T, scatter, (SHADING_PX * view.pixel * ball.radius) ** 2)
 
 
 def shows_all_axes(alignment: Alignment) -> bool:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import clear_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
+from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.texture.chart import Chart, Resampling, chart_of, resampling
+from spheremouse.ball.texture.chart import IN_PLACE, Chart, Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
     DETAIL,
     Alignment,
@@ -75,9 +76,12 @@ class TextureDetector:
         """The views, the fine one first."""
         return self.fine, self.coarse
 
-    def light(self, image: Image) -> tuple[tuple[ChartLight, ChartLight], float]:
-        """Return what an image shows on the fine and on the coarse chart, and the mean grey value."""
-        return light_on_charts(self.fine, self.coarse, self.resampling(image))
+    def light(self, image: Image, shift: Array = IN_PLACE) -> tuple[tuple[ChartLight, ChartLight], float]:
+        """Return what an image shows on the fine and on the coarse chart, and the mean grey value.
+
+        The ball's image is off its place by `shift`, (2,) px.
+        """
+        return light_on_charts(self.fine, self.coarse, self.resampling(image, shift))
 
 
 def texture_detector(rig: Rig, pose: Pose, masks: Iterable[tuple[float, ...]] = ()) -> TextureDetector:
@@ -143,6 +147,7 @@ class TextureState(NamedTuple):
     repeats: bool = False  # it looks the same at another attitude
     unseen: float = 0.0  # share of recent frames that showed no rotation about some axis
     reported: tuple[bool, bool] = (False, False)  # by events: frames show no rotation about some axis; `repeats`
+    shift: SeenCentre | None = None  # of the ball's centre in the last frame, from its place, if it was measured
     last_plain_stamp: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 

@@ -44,6 +44,13 @@ def aligned(
     return kernels.align_texture(members, (value, weight), R, noise, place, VIEW.pixel, *more.values())
 
 
+def shifted(*, R=R, noise: Any = NOISE, value=PICTURE.value, weight=PICTURE.weight, **samples: Any) -> Any:
+    more = {"camera": np.array([0.3, 0.5, 3.8]), "axes": np.eye(3)[:2].copy()}
+    more |= {name: samples.pop(name) for name in list(samples) if name in more}
+    given = R, noise, 0.1 * VIEW.pixel, VIEW.pixel, more["camera"], more["axes"]
+    return kernels.shift_of_texture(_members(samples), (value, weight), *given)
+
+
 def correlated(*, attitudes=R[None], most=200, value=PICTURE.value, weight=PICTURE.weight, **samples: Any) -> Any:
     return kernels.correlate_texture(_members(samples), (value, weight), attitudes, most)
 
@@ -72,7 +79,7 @@ def doubted(*, first=SEEN.first, own=SEEN.odds, **samples: Any) -> Any:
     return kernels.leave_out_doubtful(_members(samples), first, own, 0.03, 0.02)
 
 
-@pytest.mark.parametrize("function", [aligned, correlated, doubted, weighed])
+@pytest.mark.parametrize("function", [aligned, correlated, doubted, shifted, weighed])
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
@@ -112,6 +119,8 @@ OTHER_NAMES: dict[Any, str] = {
         (learnt, "axes", VIEW.chart._replace(axes=np.eye(2))),
         (learnt, "spacing", VIEW.chart._replace(spacing="wide")),
         (learnt, "chart", VIEW.chart[:3]),
+        (shifted, "camera", np.zeros(2)),
+        (shifted, "axes", np.eye(3)),
         (weighed, "mean", SEEN.mean[1:].copy()),
         (weighed, "odds", SEEN.odds.reshape(1, -1)),
         (weighed, "offset", SEEN.offset[1:].copy()),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.build import begin, build, detector_name
-from spheremouse.ball.events import AxisUnseen, BallLost, Found, NewMap, Recognised, Turned
+from spheremouse.ball.events import AxisUnseen, BallLost, Found, NewMap, OutOfRound, Recognised, Turned
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.method import TEXTURE
@@ -81,6 +81,39 @@ def test_a_rolling_shutter_pulls_nothing(sigma):
     offset = steps[first].estimate.rotation.T @ made[first].attitude
     errors = [log(steps[k].estimate.rotation @ offset @ made[k].attitude.T) for k in range(first, len(steps))]
     assert np.degrees(np.linalg.norm(errors, axis=1))[-10:].max() < 0.25
+
+
+def errors_of(made, steps, first):
+    """Errors of the attitude, °, of the frames from the `first` on, in which it is right."""
+    offset = steps[first].estimate.rotation.T @ made[first].attitude
+    return np.degrees(
+        [np.linalg.norm(log(s.estimate.rotation @ offset @ m.attitude.T)) for s, m in zip(steps, made, strict=True)][
+            first:
+        ]
+    )
+
+
+def test_a_shift_in_the_bearings_is_no_turn_of_the_ball():
+    """A ball that sways by 5 mm looks as if it turned by half a degree."""
+    made, tracker = film("speckle", seconds=3.0, size=(480, 360), lift=1.6, lift_by=(5.0, 0.0, 0.0))
+    steps = follow([m.frame for m in made], tracker)
+    assert events(steps) == [Found, Turned, OutOfRound]
+    first = next(k for k, s in enumerate(steps) if s.state.status is Status.TRACKING)
+    assert errors_of(made, steps, first).max() < 0.25
+    held = [s.state.filter.centre[0] for s, m in zip(steps, made, strict=True) if m.frame.stamp > 2.0][:10]
+    assert np.abs(np.array(held) - 5e-3).max() < 0.7e-3
+
+
+def test_a_ball_that_is_lifted_is_lost_and_found_when_it_lies_in_its_bearings():
+    made, tracker = film("speckle", seconds=2.5, turns=0.25, lift=1.4, lift_by=(0.0, 40.0, 0.0), lift_seconds=0.4)
+    steps = follow([m.frame for m in made], tracker)
+    lost = [e for s in steps for e in s.events if isinstance(e, BallLost)]
+    assert len(lost) == 1
+    assert Recognised in events(steps)
+    off = [k for k, m in enumerate(made) if 1.6 < m.frame.stamp < 1.8]
+    assert not any(steps[k].estimate.increment.any() for k in off)
+    first = next(k for k, s in enumerate(steps) if s.state.status is Status.TRACKING)
+    assert errors_of(made, steps, first)[-10:].max() < 0.3
 
 
 def test_what_stands_still_before_the_ball_is_left_out(speckle):

@@ -22,6 +22,7 @@ from spheremouse.ball.texture.picture import (
     forget,
     learn,
     seen_again,
+    seen_shift,
     seen_with_skew,
     tiles_in_view,
     weigh,
@@ -184,6 +185,50 @@ def test_anchors_in_view_are_points_and_their_twin_the_same(view):
     assert np.allclose(covariance, twin[1], rtol=1e-6)
     with pytest.raises(TypeError, match="gradient"):
         kernels.anchor_points(*given[:3], given[3][1:].copy(), errors, found.known, facing, ball)
+
+
+def moved(view, centre):
+    """Directions, (n, 3), that the samples of a ball with its centre off by `centre`, (3,) m, show: by its surface."""
+    place = RIG.ball.centre + RIG.ball.radius * directions(view) - POSE.position
+    ray = place / np.linalg.norm(place, axis=1, keepdims=True)
+    to = POSE.position - RIG.ball.centre - centre
+    along = -ray @ to - np.sqrt((ray @ to) ** 2 - to @ to + RIG.ball.radius**2)
+    return (to + along[:, None] * ray) / RIG.ball.radius
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pattern_shows_the_place_of_a_centre_that_has_moved_and_its_twin_the_same(view, seed):
+    """The attitude alone explains most of 5 mm, with an error of 0.4°."""
+    rng = np.random.default_rng(seed)
+    texture, R = waves(rng), exp(rng.normal(size=3))
+    axes = view.chart.axes[:2]
+    centre = 5e-3 * exp(rng.uniform(-np.pi, np.pi) * view.chart.axes[2]) @ axes[0]
+    contrast = texture(moved(view, centre) @ R) + rng.normal(0.0, NOISE, len(view.at))
+    seen, picture = first_seen(view, contrast.astype(np.float32)), picture_with(view, texture)
+    alone = align(view, seen, picture, R, NOISE)
+    assert np.degrees(np.linalg.norm(log(alone.attitude @ R.T))) > 0.3
+    found = seen_shift(view, seen, picture, alone.attitude, NOISE)
+    error = found.axes @ found.place - centre
+    assert np.linalg.norm(error) < 1.5e-3
+    assert (found.axes.T @ error) @ np.linalg.solve(found.covariance, found.axes.T @ error) < 12.0
+    cells = picture.value.astype(float), picture.weight.astype(float)
+    camera = (POSE.position - RIG.ball.centre) / RIG.ball.radius
+    given = seen.contrast.astype(float), directions(view), cells, alone.attitude, NOISE, 0.1 * view.pixel, view.pixel
+    twin, covariance = twins.shift(*given, camera, axes)
+    assert np.allclose(found.place, RIG.ball.radius * twin, atol=1e-4)
+    assert np.allclose(found.scatter, 8.0 * RIG.ball.radius**2 * covariance, rtol=0.06)
+
+
+def test_a_pattern_in_its_place_shows_no_shift_and_a_plain_ball_none_at_all(view):
+    rng = np.random.default_rng(5)
+    texture, R = waves(rng), exp(rng.normal(size=3))
+    contrast = shown(view, texture, R) + rng.normal(0.0, NOISE, len(view.at)).astype(np.float32)
+    seen = first_seen(view, contrast)
+    found = seen_shift(view, seen, picture_with(view, texture), R, NOISE)
+    assert found.squared_mahalanobis < 2.0
+    unknown = seen_shift(view, seen, empty_picture(view), R, NOISE)
+    assert not unknown.place.any()
+    assert unknown.squared_mahalanobis < 1e-12
 
 
 def test_anchors_of_a_pattern_of_rings_have_no_place_along_them_and_their_twin_the_same(view):

@@ -86,6 +86,38 @@ def align(contrast, d, picture, R, noise, place, pixel):
     return R, scale, correlation, H, axes @ axes.T
 
 
+def shift(contrast, d, picture, R, noise, place, pixel, camera, axes):
+    """Shift of the ball's centre along axes (2, 3), in radii, and its covariance; the camera is at (3,) radii."""
+    value, weight = picture
+
+    def seen_at(offset):
+        """Direction from the moved centre to the first point of the ball on each ray, by a quadratic equation."""
+        ray, to = d - camera, camera - offset @ axes
+        a, b, c = np.sum(ray * ray, axis=1), ray @ to, to @ to - 1.0
+        return to + ((-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a)[:, None] * ray
+
+    offset = np.zeros(2)
+    for _ in range(3):
+        u = seen_at(offset)
+        shown, known = look(value, weight, u @ R)
+        J = change_by_turn(value, weight, u, R)
+        by_shift = [
+            look(value, weight, seen_at(offset + sign * 1e-6 * e) @ R)[0] for e in np.eye(2) for sign in (1, -1)
+        ]
+        A = np.column_stack([J, (by_shift[0] - by_shift[1]) / 2e-6, (by_shift[2] - by_shift[3]) / 2e-6])
+        square = np.sum(J * J, axis=1)
+        variance = noise**2 + place**2 * (1.0 + YOUNG / np.maximum(known, 1e-9)) * square
+        chosen = (known >= LEAST_WEIGHT) & (pixel**2 * square > noise**2)
+        z, A, variance = (contrast - shown)[chosen], A[chosen], variance[chosen]
+        scale = max(1.4826 * np.median(np.abs(z) / np.sqrt(variance)), 0.5)
+        root = 1.0 / (1.0 + z**2 / variance / (FAR * scale) ** 2)
+        w = (root * mean_by_tile(root**2, u[chosen] @ R, value.shape[1])) ** 2 / variance / scale**2
+        C = np.linalg.inv((A * w[:, None]).T @ A)
+        dx = C @ (A * w[:, None]).T @ z
+        R, offset = exp(dx[:3]) @ R, offset + dx[3:]
+    return offset, C[3:, 3:] * max(1.0, len(z) / 6000)
+
+
 def correlate(contrast, d, picture, R):
     """Correlation of samples and the nearest cells of the picture at an attitude."""
     value, weight = picture
