@@ -8,6 +8,7 @@ outline stays, a length in the rig is wrong. A ball that is far from its usual p
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,9 @@ from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, OutlineCheck, Tracker, TrackState, lost
+
+# Filters a frame: the state before it, its stamp, the tracker, and the prediction
+Follow = Callable[[TrackState[So3State], float, Tracker[So3Filter], So3State], TrackState[So3State]]
 
 MAX_DRIFT = 5e-3  # rad, of the place of a disc that was found while the centre moved unseen
 _MIN_CENTRE_NOISE = 1e-3  # radii/sqrt(s), least noise of a centre that has moved

@@ -13,25 +13,13 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.events import AxisUnseen, Found, NewMap, OutOfRound, PatternRepeats, Recognised, Turned
+from spheremouse.ball.events import AxisUnseen, Found, NewMap, PatternRepeats, Recognised, Turned
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
-from spheremouse.ball.outline import SeenCentre
-from spheremouse.ball.phases.bearing import (
-    MAX_DRIFT,
-    PROOF_ROTATION,
-    interval,
-    with_doubtful_map,
-    with_evidence,
-    with_learnt_noise,
-    with_usual_place,
-)
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.phases.method import at_new_pose
-from spheremouse.ball.phases.seen_centre import with_doubtful_turn
 from spheremouse.ball.rig import view_of
 from spheremouse.ball.state import (
-    CentreCheck,
     Events,
     Learning,
     Lost,
@@ -43,7 +31,15 @@ from spheremouse.ball.state import (
     clear_matches,
     start_tracking,
 )
-from spheremouse.ball.texture.chart import IN_PLACE
+from spheremouse.ball.texture.centre import (
+    centre_in_frame,
+    follow_in_bearings,
+    has_moved,
+    image_shift,
+    is_due,
+    is_lifted,
+    with_centre_seen,
+)
 from spheremouse.ball.texture.picture import (
     DETAIL,
     SHADING,
@@ -64,7 +60,6 @@ from spheremouse.ball.texture.picture import (
     grain_of,
     learn,
     seen_again,
-    seen_shift,
     seen_with_skew,
     shows_all_axes,
     tiles_in_view,
@@ -89,18 +84,12 @@ from spheremouse.ball.texture.search import (
     search,
     significance,
 )
-from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status
 
 TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a strut may cover the others
 _MIN_SAMPLES = 100  # samples of a part of the ball that show it
-_UNUSUAL_SCALE = 1.1  # times the usual residuals: a shift of the centre leaves some, and a hand does
-# mean squared Mahalanobis distance of the centre from its place; in it, frames do not share errors and show a quarter
-_MAX_EVIDENCE = 1.0
-_SHIFTED_SIGMAS = 3.0  # of a shift, from which it is no error
-_MIN_SHIFT_PX = 0.05  # of the ball's image in its bearings: less shifts no detail
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
 _DETAIL_ANGLE = 0.03  # rad, of path that shows a sample another part of the pattern
@@ -131,7 +120,7 @@ def detect_texture(
         now = _begin(detector, frame, predicted.attitude)
         found, anchors = _detections(detector.fine, now.alignment, tracker, predicted, np.zeros(3))
         return found, now._replace(shown=anchors)
-    off = _shift_px(tracker, predicted.centre)
+    off = image_shift(tracker, predicted.centre)
     shown, light = detector.light(frame.image, off)
     noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
     lost = state.status is Status.LOST or recognises
@@ -148,13 +137,14 @@ def detect_texture(
         alignment, now = search(detector, now, None if recognises else expected, lost, shutter)
     elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
         alignment = None
-    shift, moves = None, predicted.centre_noise > 0.0 and not tracker.detector.sees_discs
-    if alignment is not None and now.turned and (moves or lost or _may_have_moved(now, alignment)):
-        shift = _seen_centre(detector.fine, now, alignment, predicted)
-        if lost and _is_lifted(shift, tracker):
+    shift, moves = None, predicted.centre_noise > 0.0
+    shows_centre = alignment is not None and now.turned and not tracker.detector.sees_discs
+    if alignment is not None and shows_centre and (moves or lost or is_due(now, alignment)):
+        shift = centre_in_frame(detector.fine, now, alignment, predicted)
+        if lost and is_lifted(shift, tracker):
             alignment = shift = None
-        elif (moves or _with_evidence(state, shift, frame.stamp).evidence > _MAX_EVIDENCE) and not searched:
-            off = _shift_px(tracker, shift.axes @ shift.place)
+        elif (moves or has_moved(with_centre_seen(state, shift, frame.stamp))) and not searched:
+            off = image_shift(tracker, shift.axes @ shift.place)
             shown, _ = detector.light(frame.image, off)
             now = _with_contrast(detector, before, shown, noise, skew)
             alignment = near(detector, now, alignment.attitude)[0]
@@ -174,33 +164,6 @@ def detect_texture(
         clear = significance(alignment) > CLEAR  # else no search would find a lost ball
         proven = clear and _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
     return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven, shift=shift)
-
-
-def _shift_px(tracker: Tracker[So3Filter], centre: Array) -> Array:
-    """Return by how much, (2,) px, the image of a ball is off its place that is off by `centre`, (3,) m in obj."""
-    if not centre.any():
-        return IN_PLACE
-    rig, pose = tracker.rig, tracker.pose
-    at = np.stack([rig.ball.centre, rig.ball.centre + centre])
-    place, moved = project(pose.to_cam(at), rig.camera)[0]
-    return moved - place if float(np.abs(moved - place).max()) > _MIN_SHIFT_PX else IN_PLACE
-
-
-def _may_have_moved(now: TextureState, alignment: Alignment) -> bool:
-    """Return whether a frame is to show the centre: its residuals are larger than usual, or its turn has come."""
-    return now.frame_index % _TASK_CYCLE == 1 or alignment.scale > _UNUSUAL_SCALE * now.usual_scale
-
-
-def _seen_centre(view: TextureView, now: TextureState, alignment: Alignment, predicted: So3State) -> SeenCentre:
-    """Return the ball's centre by a frame, relative to its place in the rig."""
-    seen = seen_shift(view, now.fine.seen, now.fine.picture, alignment.attitude, now.noise)
-    return seen._replace(place=seen.place + seen.axes.T @ predicted.centre)
-
-
-def _is_lifted(centre: SeenCentre, tracker: Tracker[So3Filter]) -> bool:
-    """Return whether the ball is significantly off its bearings."""
-    far = float(centre.place @ centre.place) > (0.5 * tracker.settings.loss.lifted * tracker.rig.ball.radius) ** 2
-    return far and centre.squared_mahalanobis > _SHIFTED_SIGMAS**2
 
 
 def _with_running_means(now: TextureState, alignment: Alignment) -> TextureState:
@@ -427,7 +390,7 @@ def _next_phase(
         case Learning(found=False):
             filtered = _update(state, tracker, predicted)
             return state._replace(filter=filtered.clone_attitude(), confirmed_at=stamp), ()
-    state, events = _follow_in_bearings(state, stamp, tracker, predicted)
+    state, events = follow_in_bearings(state, stamp, tracker, predicted, _follow)
     state, more = _with_faults_reported(state)
     return state, (*events, *more)
 
@@ -494,44 +457,6 @@ def _follow(
         predicted = _relocate(predicted, now.alignment, stamp, tracker, rate)
     filtered = _update(state, tracker, predicted)
     return state._replace(filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
-
-
-def _follow_in_bearings(
-    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
-) -> tuple[TrackState[So3State], Events]:
-    """Return the state and the events after an update with the anchors, and with the centre that the pattern shows.
-
-    In a good bearing the centre stays in its place, and the filter does not take it from the frame.
-    """
-    seen, check, events = state.search.shift, state.centre, ()
-    if seen is None or state.search.searched:
-        return _follow(state, stamp, tracker, predicted), ()
-    dt = interval(state, stamp)
-    path = seen.place - seen.axes.T @ predicted.centre
-    if predicted.centre_noise == 0.0:
-        check = _with_evidence(state, seen, stamp)
-        if check.evidence <= _MAX_EVIDENCE:
-            rate = float(np.linalg.norm(state.filter.rate))
-            check = check._replace(turned=check.turned + _TASK_CYCLE * dt * rate)
-            return _follow(state._replace(centre=check), stamp, tracker, predicted), ()
-        events = () if check.moved else (OutOfRound(),)
-        if check.turned < PROOF_ROTATION:
-            predicted = with_doubtful_map(predicted, MAX_DRIFT)
-        check = CentreCheck(moved=True, turned=PROOF_ROTATION, home=check.home)
-        predicted = with_doubtful_turn(predicted, seen.axes @ path, tracker)
-    far = float(path @ np.linalg.solve(seen.covariance, path)) > _SHIFTED_SIGMAS**2
-    if far or predicted.centre_noise == 0.0:
-        predicted = tracker.filter.let_centre_move(predicted, seen.axes @ path)
-    before, predicted = state, with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
-    state = _follow(state, stamp, tracker, predicted)
-    state = with_learnt_noise(before, state, dt, tracker)
-    state, more = with_usual_place(state._replace(centre=check), stamp, dt, tracker, predicted)
-    return state, (*events, *more)
-
-
-def _with_evidence(state: TrackState[So3State], seen: SeenCentre, stamp: float) -> CentreCheck:
-    """Return the check of the bearing after a frame that shows the centre, as one in `_TASK_CYCLE` does."""
-    return with_evidence(state.centre, seen.squared_mahalanobis, _TASK_CYCLE * interval(state, stamp))
 
 
 def _relocate(
