@@ -18,7 +18,7 @@ import reference  # noqa: E402
 project = "spheremouse"
 release = importlib.metadata.version("spheremouse")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.doctest"]
-if "CI" not in os.environ:  # pages of the sources take much of the time to build, and nobody reads them there
+if "CI" not in os.environ:  # viewcode takes a third of the time, and .ci/run only checks the site
     extensions.append("sphinx.ext.viewcode")
 exclude_patterns = ["_build", "figures.md", "experiments"]  # figures.md is included by accuracy
 source_suffix = {".md": "markdown"}

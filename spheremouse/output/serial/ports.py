@@ -88,7 +88,7 @@ class Port:
     def close(self) -> None:
         """Close the port, also a broken one. Bytes in the queue are dropped."""
         with contextlib.suppress(Exception):
-            if self.queued():  # a pseudo-terminal has none, and would drop what its other end has not read yet
+            if self.queued():  # always 0 on a pseudo-terminal, where a flush drops unread bytes
                 self._port.reset_output_buffer()
         with contextlib.suppress(Exception):
             self._port.close()
