@@ -463,10 +463,12 @@ class BallModel:
 class FieldsView:
     """Weight fields, (c, h, w), and glare, (1, h, w) or (0, 1, 1), for the functions below, without a copy.
 
-    `place` has left, top and factor, `fraction` and `rim` a value for each colour (`colour.Fields`).
+    `place` has left, top and factor, the last three arguments a value for each colour (`colour.Fields`).
     """
 
-    def __init__(self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float) -> None: ...
+    def __init__(
+        self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float, rim_sigma: _Float
+    ) -> None: ...
 
 def log_likelihood(
     position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, sigma: float, disc_weight: _Float,

@@ -11,7 +11,6 @@ using Rotations = Array<const double, -1, 3, 3>;
 
 constexpr double SIGMA = 0.065;       // of a field's range, `likelihood.SIGMA`
 constexpr double OUTLIER = 0.08;      // fraction of the points that a finger, a highlight or a stick hides
-constexpr double RIM_OFFSET = 0.25;   // px, standard deviation of the rims' common offset
 constexpr double MIN_FACING = 0.08;   // cosine of the viewing angle at which a point has weight
 constexpr double FULL_FACING = 0.25;  // and full weight
 constexpr double FIELD_SIGMA = 1.2;   // px of the field
@@ -79,14 +78,15 @@ struct Planes {
 /// Weight fields of part of a picture: `colour.Fields`.
 class FieldsView {
   public:
-    FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim);
+    FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim,
+               nb::handle rim_sigma);
 
     /// Raise a TypeError unless each colour of a ball has a field.
     void require_colours_of(const BallModel& ball) const;
 
     Planes weight, glare;
     double left, top, factor;
-    std::vector<double> fraction, rim;  // of each colour
+    std::vector<double> fraction, rim, rim_sigma;  // of each colour
 
   private:
     Array<const uint8_t, -1, -1, -1> arrays_[2];  // that own the planes

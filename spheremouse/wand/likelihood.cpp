@@ -162,8 +162,9 @@ Ratio ratio(const BallModel& ball, const FieldsView& fields, const Densities& de
     }
     for (size_t d = 0; d < product.size(); d++) sum.log_ratio += s.disc_weight[d] * std::log(product[d]);
     for (size_t k = 0; k < rg.size(); k++) {  // the common offset, marginalised
-        const double information = 1.0 / (RIM_OFFSET * RIM_OFFSET) + gg[k] / variance, b = rg[k] / variance;
-        sum.log_ratio += 0.5 * b * b / information - 0.5 * std::log(information * RIM_OFFSET * RIM_OFFSET);
+        const double prior = fields.rim_sigma[k] * fields.rim_sigma[k];
+        const double information = 1.0 / prior + gg[k] / variance, b = rg[k] / variance;
+        sum.log_ratio += 0.5 * b * b / information - 0.5 * std::log(information * prior);
     }
     return sum;
 }
@@ -230,20 +231,24 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
     }
 }
 
-FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_)
+FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_,
+                       nb::handle rim_sigma_)
     : arrays_{array<const uint8_t, -1, -1, -1>(weight_, "weight"), array<const uint8_t, -1, -1, -1>(glare_, "glare")} {
     Planes* planes[] = {&weight, &glare};
     for (int i : {0, 1})
         *planes[i] = {arrays_[i].data(), arrays_[i].shape(0), int(arrays_[i].shape(1)), int(arrays_[i].shape(2))};
     const auto place = array<const double, 3>(place_, "place");
     const auto p = array<const double, -1>(fraction_, "fraction"), shift = array<const double, -1>(rim_, "rim");
+    const auto shift_sigma = array<const double, -1>(rim_sigma_, "rim_sigma");
     if (p.shape(0) != weight.count) throw nb::type_error("fraction: must have a value for each colour");
     if (shift.shape(0) != weight.count) throw nb::type_error("rim: must have a value for each colour");
+    if (shift_sigma.shape(0) != weight.count) throw nb::type_error("rim_sigma: must have a value for each colour");
     if (glare.count > 0 && (glare.height != weight.height || glare.width != weight.width))
         throw nb::type_error("glare: must have the size of weight");
     left = place(0), top = place(1), factor = place(2);
     fraction.assign(p.data(), p.data() + p.shape(0));
     rim.assign(shift.data(), shift.data() + shift.shape(0));
+    rim_sigma.assign(shift_sigma.data(), shift_sigma.data() + shift_sigma.shape(0));
 }
 
 void FieldsView::require_colours_of(const BallModel& ball) const {
@@ -319,8 +324,8 @@ void bind_likelihood(nb::module_& m) {
         .def(nb::init<nb::handle, nb::handle, double, nb::handle>(), arg("table"), arg("colour"), arg("radius"),
              arg("lens"));
     nb::class_<FieldsView>(m, "FieldsView")
-        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(), arg("weight"), arg("glare"),
-             arg("place"), arg("fraction"), arg("rim"));
+        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(), arg("weight"),
+             arg("glare"), arg("place"), arg("fraction"), arg("rim"), arg("rim_sigma"));
     m.def("log_likelihood", &log_likelihood, arg("position"), arg("rotation"), arg("ball"), arg("fields"), arg("sigma"),
           arg("disc_weight"), arg("which"));
     m.def("expected_field", &expected_field, arg("points"));

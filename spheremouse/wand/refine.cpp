@@ -135,7 +135,7 @@ class Refinement {
             add(weight, outline_J_.row(Eigen::Index(q)).transpose(), r - offsets_[last], last, -1.0);
         }
         for (int k = 0; k <= last; k++) {
-            const double sigma = k < last ? RIM_OFFSET : EDGE_OFFSET * f;
+            const double sigma = k < last ? fields_.rim_sigma[size_t(k)] : EDGE_OFFSET * f;
             A_(6 + k, 6 + k) += 1.0 / (sigma * sigma);
             b_[6 + k] -= offsets_[k] / (sigma * sigma);
         }

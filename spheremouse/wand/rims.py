@@ -7,10 +7,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.settings import ColourSettings
 
 Image = NDArray[np.uint8]
 OVEREXPOSED = 250.0  # grey value of an overexposed pixel, which passes any lower bound on brightness
+_KNEE = (
+    230.0  # grey value above which cameras compress highlights: it does not give the light (80 to 90 % of full scale)
+)
+RIM_SIGMA = 0.25  # px, standard deviation of a rim's shift: print and the picture's blur vary
+_COMPRESSED_SIGMA = 0.5  # px, the same of lights above the knee: their rims are as wide at one and at twice the light
 _GAMMA = 2.2  # of grey values
 _PRINT_REFLECTANCE = 0.65  # of a print's greatest channel over that of white paper: 0.58 to 0.7
 _MAX_GREY = 255.0
@@ -49,29 +55,35 @@ def _outward(cover: float, factor: int = 1) -> float:
     return float(-edge * NormalDist().inv_cdf(min(max(cover, _MIN_COVER), 1.0 - _MIN_COVER)))
 
 
-def rim_shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32], factor: int) -> float:
-    """Return `rim_shift` for a bound on brightness, with print and ground as bright as the picture shows them.
+def rim_shift_by_brightness(
+    image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32], factor: int
+) -> tuple[float, float]:
+    """Return `rim_shift` and its standard deviation for a bound on brightness.
+
+    Print and ground are as bright as the picture shows them.
 
     `one` (h, w) is the binary picture of the colour, and `bound` (6,) has its bounds of hue, saturation and brightness.
     Light mixes before the camera's gamma. So a bound half way between the grey values of print and white selects pixels
     that are nearly all white. px are those of the picture, which is reduced `factor` times.
     """
     if bound[4] <= 0.0 and bound[5] >= _MAX_GREY:
-        return 0.0
+        return 0.0, RIM_SIGMA
     rims = _sample_rims(image, one)
     if min(len(rims.within), len(rims.beside)) < _MIN_PIXELS:
-        return 0.0
+        return 0.0, RIM_SIGMA
     ours, theirs = float(np.median(rims.within)), float(np.median(rims.beside))
-    if min(ours, theirs) >= OVEREXPOSED:
-        return 0.0
+    if min(ours, theirs) >= _KNEE:
+        return 0.0, RIM_SIGMA
     low, high = _light(min(ours, theirs)), _light(max(ours, theirs))
-    if max(ours, theirs) >= OVEREXPOSED:
+    compressed = max(ours, theirs) >= _KNEE
+    if compressed:
         high = _overexposed_light(rims, low, factor)
     selects = _light(float(bound[4] if ours > theirs else bound[5]))
     if not low < selects < high:  # the bound does not separate the two
-        return 0.0
+        return 0.0, RIM_SIGMA
     cover = (selects - low) / (high - low)
-    return _outward(cover if ours > theirs else 1.0 - cover, factor)
+    shift = _outward(cover if ours > theirs else 1.0 - cover, factor)
+    return shift, _COMPRESSED_SIGMA if compressed else RIM_SIGMA
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +92,8 @@ class _RimSamples:
 
     within: NDArray[np.uint8]  # (n,) inside, away from the rims
     beside: NDArray[np.uint8]  # (m,) of the ground outside
-    across: NDArray[np.uint8]  # (k,) inside, ground and rim
-    length: float  # px, of all rims
+    across: tuple[NDArray[np.uint8], ...]  # (k,) inside, ground and rim of each area
+    length: Array  # (m,) px, of each rim
 
 
 def _sample_rims(image: Image, one: NDArray[np.uint8]) -> _RimSamples:
@@ -90,7 +102,7 @@ def _sample_rims(image: Image, one: NDArray[np.uint8]) -> _RimSamples:
     size, area = stats[1:n, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]], stats[1:n, cv2.CC_STAT_AREA]
     small = 1 + np.flatnonzero(np.max(size, axis=1) <= _MAX_DISC_SIZE)
     small = small[np.argsort(-area[small - 1], kind="stable")][:_MAX_DISCS]
-    within, beside, across, length = [], [], [], 0.0
+    within, beside, across, length = [], [], [], []
     margin = len(_GROUND_KERNEL) // 2 + 1
     for i in small:
         x, y, w, h = stats[i, :4]
@@ -108,11 +120,11 @@ def _sample_rims(image: Image, one: NDArray[np.uint8]) -> _RimSamples:
             continue
         within.append(inner)
         beside.append(outer)
-        across.append(value[far > 0])
-        length += 2.0 * float(np.sqrt(np.pi * area[i - 1]))
+        across.append(value[near > 0])
+        length.append(2.0 * np.sqrt(np.pi * area[i - 1]))
     none = np.zeros(0, dtype=np.uint8)
     return _RimSamples(
-        np.concatenate([none, *within]), np.concatenate([none, *beside]), np.concatenate([none, *across]), length
+        np.concatenate([none, *within]), np.concatenate([none, *beside]), tuple(across), np.array(length)
     )
 
 
@@ -127,10 +139,14 @@ def _light(grey: float) -> float:
 
 
 def _overexposed_light(rims: _RimSamples, low: float, factor: int) -> float:
-    """Return the light of overexposed areas beside light `low`: the brighter, the narrower the rims between them."""
+    """Return the light of overexposed areas beside light `low`: the brighter, the narrower the rims between them.
+
+    The median area counts, since glare and background beside an area widen its rim.
+    """
     begins, ends = (low + part * (1.0 - low) for part in _RIM_LEVELS)
     first, last = (_MAX_GREY * x ** (1.0 / _GAMMA) for x in (begins, ends))
-    width = np.count_nonzero((rims.across >= first) & (rims.across < last)) / rims.length
+    count = [np.count_nonzero((grey >= first) & (grey < last)) for grey in rims.across]
+    width = np.median(count / rims.length)
     expected = np.array(
         [
             _outward((begins - low) / (x - low), factor) - _outward((ends - low) / (x - low), factor)

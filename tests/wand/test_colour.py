@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from spheremouse.native import kernels
+from spheremouse.simulate.light import develop
 from spheremouse.wand.colour import DEFAULT_COLOURS, PictureColours, colour_fields, picture_colours, reduction_factor
 from spheremouse.wand.rims import rim_shift
 from spheremouse.wand.settings import ColourSettings
@@ -90,11 +91,15 @@ def test_rim_shift_of_a_bound_on_saturation_is_that_of_mixed_light(saturation):
     assert colour_fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
 
 
-def discs_on(radius, light, ground, n=3, beside=None, side=48):
+def gamma(light):
+    return 255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)
+
+
+def discs_on(radius, light, ground, n=3, beside=None, side=48, tone=gamma):
     """Return a picture of n discs on a ground with linear light; `beside` gives grey values for the part below."""
     rng = np.random.default_rng(4)
     cover = np.hstack([covered(radius, side, *rng.uniform(-0.5, 0.5, 2)) for _ in range(n)])
-    grey = 255.0 * np.clip(cover * light + (1.0 - cover) * ground, 0.0, 1.0) ** (1 / 2.2)
+    grey = tone(cover * light + (1.0 - cover) * ground)
     if beside is not None:
         grey = np.vstack([grey, beside(grey.shape[1])])
     grey = np.clip(np.rint(grey + rng.normal(0.0, 1.5, grey.shape)), 0, 255).astype(np.uint8)
@@ -140,6 +145,18 @@ def test_rim_shift_of_dark_and_of_overexposed_discs(factor, radius, light, groun
     true = shift_of(found, radius)
     assert found.rim[0] == pytest.approx(true, abs=within)
     assert np.sign(found.rim[0]) == np.sign(true)
+
+
+@pytest.mark.parametrize("light", [1.4, 1.7, 2.0])
+def test_rim_shift_of_lights_that_the_camera_compresses(light):
+    """Their grey values approach 255 smoothly and do not give their light, so the shift is less certain."""
+    image = discs_on(5.0, light, 0.02, tone=develop)
+    found = colour_fields(
+        image, {"some": ColourSettings(value_min=215.0)}, ("some",), known=PictureColours(140.0, np.zeros(1))
+    )
+    assert found.rim[0] == pytest.approx(shift_of(found, 5.0), abs=0.28)
+    assert found.rim_sigma[0] == pytest.approx(0.5)
+    assert colour_fields(image, DEFAULT_COLOURS, NAMES).rim_sigma == pytest.approx(0.25)
 
 
 def test_no_rim_shift_if_brightness_does_not_separate_a_colour():

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
 
-OUTLIER, RIM_OFFSET, SIGMA, FIELD_SIGMA = 0.08, 0.25, 0.065, 1.2
+OUTLIER, SIGMA, FIELD_SIGMA = 0.08, 0.065, 1.2
 EDGE_SIGMA, EDGE_OFFSET, EDGE_HIDDEN = 0.2, 0.15, 0.3
 EDGE_UNIFORM = np.sqrt(2.0 * np.pi) * EDGE_SIGMA / 8.0
 ONE, HALF = np.float32(1.0), np.float32(0.5)
@@ -145,8 +145,8 @@ def log_likelihood(p, R, model, fields, sigma=SIGMA, fixed=None):
     inlier = w * near / (near + OUTLIER)
     for one in range(len(fraction)):
         b, A = np.sum((inlier * r * g)[k == one]) / sigma**2, np.sum((inlier * g * g)[k == one]) / sigma**2
-        information = 1.0 / RIM_OFFSET**2 + A
-        value += 0.5 * b * b / information - 0.5 * np.log(information * RIM_OFFSET**2)
+        information = 1.0 / fields.rim_sigma[one] ** 2 + A
+        value += 0.5 * b * b / information - 0.5 * np.log(information * fields.rim_sigma[one] ** 2)
     counts = ~((hidden > 0) & (m < 0.3))
     shows = np.where(np.abs(r) < 0.25, 1.0, np.minimum(m / np.maximum(e, 1e-9), 1.0))
     expected += np.sum(w[counts & ((e > 0.3) | (m > 0.5))])
@@ -205,7 +205,7 @@ def refine_once(p, R, model, fields, edges):
     edge_r, variance = outline_residual(p)[found], (EDGE_SIGMA * factor) ** 2
     seen = (1 - EDGE_HIDDEN) * np.exp(-0.5 * edge_r**2 / variance) / EDGE_UNIFORM
     edge_weight = seen / (seen + EDGE_HIDDEN) / variance
-    prior = [0.5 * model.radius] * 2 + [2.0 * model.radius] + [0.3] * 3 + [RIM_OFFSET] * count + [EDGE_OFFSET * factor]
+    prior = [0.5 * model.radius] * 2 + [2.0 * model.radius] + [0.3] * 3 + [*fields.rim_sigma, EDGE_OFFSET * factor]
     A = rows.T * weight @ rows + edge_rows.T * edge_weight @ edge_rows + np.diag(np.array(prior) ** -2.0)
     dx = np.linalg.solve(A, -rows.T @ (weight * here.r) - edge_rows.T @ (edge_weight * edge_r))
     across, along = np.abs(dx[:2]).max() / (0.5 * model.radius), abs(dx[2]) / (0.15 * distance)
