@@ -479,6 +479,9 @@ def log_likelihood(
     `disc_weight`, (k, d), has weights of the points of each disc, and `which`, (n,), the row for a pose or -1.
     """
 
+def evidence_bounds(position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView) -> tuple[_Float, _Float]:
+    """Return the log-likelihood ratios that n poses have if no disc shows and if all do, (n, c) of each colour."""
+
 def expected_field(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the expected field e of n points of discs, (n,), and de / d(rim offset in px of the field), (n,).
 

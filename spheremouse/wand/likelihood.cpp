@@ -198,6 +198,29 @@ nb::tuple log_likelihood(nb::handle position_, nb::handle rotation_, const BallM
     return nb::make_tuple(value, match);
 }
 
+nb::tuple evidence_bounds(nb::handle position_, nb::handle rotation_, const BallModel& ball, const FieldsView& fields) {
+    const auto position = array<const double, -1, 3>(position_, "position");
+    const auto rotation = array<const double, -1, 3, 3>(rotation_, "rotation");
+    const size_t n = position.shape(0);
+    fields.require_colours_of(ball);
+    if (rotation.shape(0) != n) throw nb::type_error("rotation: must have as many poses as position");
+    const size_t colours = fields.rim.size();
+    auto hidden = zeros<double>({n, colours}), clear = zeros<double>({n, colours});
+    const Densities density(fields, SIGMA);
+    Sight s(ball.size);
+    for (size_t i = 0; i < n; i++) {
+        const Pose pose{Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const Matrix<3>>(&rotation(i, 0, 0))};
+        measure(ball, fields, pose, nullptr, s);
+        for (size_t at = 0; at < s.coloured; at++) {
+            const size_t e = Densities::index(s.e[at]), k = size_t(ball.colour[s.index[at]]);
+            const double chance = density.per_chance[k][e];
+            hidden.data()[i * colours + k] += s.w[at] * std::log(density.agree[e] * chance + OUTLIER);
+            clear.data()[i * colours + k] += s.w[at] * std::log(density.agree[0] * chance + OUTLIER);
+        }
+    }
+    return nb::make_tuple(hidden, clear);
+}
+
 nb::tuple expected_field(nb::handle points_) {
     const auto points = array<const float, -1, 8>(points_, "points");
     const size_t n = points.shape(0);
@@ -328,6 +351,7 @@ void bind_likelihood(nb::module_& m) {
              arg("glare"), arg("place"), arg("fraction"), arg("rim"), arg("rim_sigma"));
     m.def("log_likelihood", &log_likelihood, arg("position"), arg("rotation"), arg("ball"), arg("fields"), arg("sigma"),
           arg("disc_weight"), arg("which"));
+    m.def("evidence_bounds", &evidence_bounds, arg("position"), arg("rotation"), arg("ball"), arg("fields"));
     m.def("expected_field", &expected_field, arg("points"));
 }
 

@@ -53,6 +53,17 @@ def log_likelihood(
     return kernels.log_likelihood(position, rotation, model.kernel, fields.kernel, sigma, *fixed)
 
 
+def support(value: Array, position: Array, rotation: Array, model: Model, fields: Fields) -> Array:
+    """Return where the log-likelihood ratios `value`, (n,), lie between those of a hidden ball, 0, and a clear view, 1.
+
+    The n poses are (n, 3) m in cam and (n, 3, 3) R_cam_ball. The fields of a hidden ball are 0 at all points of discs,
+    those of a clear view have the value e. A colour that the fields lack does not count: its bounds can be wrong.
+    """
+    hidden, clear = kernels.evidence_bounds(position, rotation, model.kernel, fields.kernel)
+    gain = (clear - hidden) @ (fields.binary.any(axis=(1, 2)) | (fields.fraction > 0.0))
+    return (value - hidden.sum(axis=1)) / np.maximum(gain, 1.0)
+
+
 def disc_weights(position: Array, rotation: Array, model: Model, factor: int) -> Array:
     """Return the weight of a point of each disc, and last of a bare point, in a picture reduced by `factor`: (k, d).
 

@@ -9,7 +9,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields, PictureColours, Region, colour_fields, reduction_factor
-from spheremouse.wand.likelihood import log_likelihood
+from spheremouse.wand.likelihood import log_likelihood, support
 from spheremouse.wand.model import Model
 from spheremouse.wand.motions import search_region
 from spheremouse.wand.particles import MotionMixture, PeakMixture
@@ -24,15 +24,14 @@ _MAX_LOG_LIKELIHOOD_LOSS = 15.0  # against the best peak
 # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
 _PROPOSAL_WIDTH = 1.5
 CERTAIN_MATCH = 0.8  # match of a pose that is accepted at first sight: less may be the mirror of the true pose
-_STRONG_EVIDENCE = 2.0  # times the required evidence: a pose with that much passes with a smaller match,
-_MATCH_REDUCTION = 0.15  # by this
+_STRONG_EVIDENCE = 2.0  # times the required evidence: a pose with that much passes with half of its discs
 _COARSE_DIAMETER = 36.0  # px: in a picture reduced so far, a hypothesis converges to its peak
-MIN_EVIDENCE_HIDDEN = 0.4  # of the track's evidence: below, with a poor match, half is hidden or it is another thing
-MIN_EVIDENCE_ELSEWHERE = 0.5  # of the track's evidence: other things in the ball's colours have less
+_MIN_SUPPORT = 0.5  # below, as of the match, the picture is more like that of a hidden ball than like a clear view
+_SUFFICIENT_SUPPORT = 0.65  # a predicted pose with as much is near the right peak
 _COARSE_SIGMA = 0.15  # of the field's range: ranks poses half a pixel from a peak
 _MAX_ROUNDS, _MAX_ROUNDS_NEAR = 8, 3  # of the refinement, from a hypothesis and from near a peak
 _MAX_SLOPE = 0.5  # `Peak.slope` of a converged pose: half a standard deviation off
-_MIN_DISCS = 3  # of a pose without prior: some pose explains any two spots
+_MIN_DISCS = 3  # some pose explains any two spots: six unknowns need three discs, or two and the outline
 
 
 class Scene:
@@ -85,6 +84,7 @@ class Modes:
     peaks: tuple[Peak, ...]
     log_likelihood: Array  # (k,) ratio against a picture without the ball
     match: Array  # (k,) fraction of the coloured points that show their colour
+    support: Array  # (k,) of the discs: 0 if none shows, 1 in a clear view, `likelihood.support`
     fields: Fields | None
     next_spot: int = 0  # spot with which the next search begins
 
@@ -101,7 +101,13 @@ class Modes:
     def select(self, kept: list[int] | NDArray[np.int64]) -> "Modes":
         """Return the peaks of these indices, (k,), in their order."""
         peaks = tuple(self.peaks[i] for i in kept)
-        return replace(self, peaks=peaks, log_likelihood=self.log_likelihood[kept], match=self.match[kept])
+        return replace(
+            self,
+            peaks=peaks,
+            log_likelihood=self.log_likelihood[kept],
+            match=self.match[kept],
+            support=self.support[kept],
+        )
 
 
 def fields_near(track: Track, motions: MotionMixture, context: SearchContext) -> Fields:
@@ -118,26 +124,52 @@ def fields_near(track: Track, motions: MotionMixture, context: SearchContext) ->
 
 
 def modes_without_prior(modes: Modes, context: SearchContext) -> Modes:
-    """Return the peaks that show three discs and a bare ball between them: evidence without a predicted pose."""
-    tracker, kept = context.tracker, []
-    if modes.fields is None:
-        return modes
-    for i, k in enumerate(modes.peaks):
-        discs, bare = evidence_without_prior(
-            context.scene.image, k.position, k.rotation, context.ball, context.model, tracker.camera, modes.fields
-        )
-        if discs >= _MIN_DISCS and bare >= tracker.settings.match:
-            kept.append(i)
-    return modes.select(kept)
+    """Return the peaks with evidence for a pose that no motion leads to.
+
+    They show three discs and a bare ball between them, and the edges of the picture do not contradict the outline.
+    """
+    least = context.tracker.settings.match
+    shows = [_visible_parts(k, modes, context) for k in modes.peaks]
+    return modes.select(
+        [
+            i
+            for i, (discs, bare, outline) in enumerate(shows)
+            if discs >= _MIN_DISCS and bare >= least and outline >= 0.0
+        ]
+    )
+
+
+def determines_pose(peak: Peak, modes: Modes, context: SearchContext) -> bool:
+    """Return true if a peak shows as many measurements as unknowns.
+
+    They are three discs; or two and the outline; or one, the outline, and a bare body where no disc is.
+    """
+    discs, bare, outline = _visible_parts(peak, modes, context)
+    body = bare >= context.tracker.settings.match
+    return discs >= _MIN_DISCS or (outline > 0.0 and discs + body >= _MIN_DISCS - 1)
+
+
+def _visible_parts(peak: Peak, modes: Modes, context: SearchContext) -> tuple[int, float, float]:
+    """Return the number of discs, the bare fraction of the body, and the log-likelihood ratio of the outline."""
+    assert modes.fields is not None
+    discs, bare = evidence_without_prior(
+        context.scene.image, peak.position, peak.rotation, context.ball, context.model, context.tracker.camera,
+        modes.fields,
+    )  # fmt: skip
+    first, factor = np.zeros(1, dtype=np.int64), modes.fields.factor
+    outline = limb.log_likelihood(peak.position[None], first, peak.edges[None], context.model, factor)
+    return discs, bare, float(outline[0])
 
 
 def _weigh(peaks: list[Peak], m: Model, fields: Fields) -> Modes:
     """Return peaks with log-likelihood ratio and match, in the same order."""
     position = np.array([k.position for k in peaks])
     edges = np.array([k.edges for k in peaks])
-    value, match = log_likelihood(position, np.array([k.rotation for k in peaks]), m, fields)
+    rotation = np.array([k.rotation for k in peaks])
+    value, match = log_likelihood(position, rotation, m, fields)
+    supports = support(value, position, rotation, m, fields)
     outline = limb.log_likelihood(position, np.arange(len(peaks)), edges, m, fields.factor)
-    return Modes(tuple(peaks), value + outline, match, fields)
+    return Modes(tuple(peaks), value + outline, match, supports, fields)
 
 
 def refine_modes(
@@ -147,21 +179,22 @@ def refine_modes(
     context: SearchContext,
     fields: Fields,
     outline: bool = True,
-    sufficient: float = 0.0,
+    near: bool = False,
 ) -> Modes:
     """Refine the `count` best of n poses, (n, 3) m in cam and R_cam_ball (n, 3, 3), to peaks of the likelihood.
 
-    If the best log-likelihood exceeds `sufficient`, refine that pose alone.
+    If they are `near` a peak and the best one has half of the evidence of a ball in full view, refine that one alone.
     """
     m, radius = context.model, context.ball.radius
-    empty = Modes((), np.zeros(0), np.zeros(0), fields)
+    empty = Modes((), np.zeros(0), np.zeros(0), np.zeros(0), fields)
     if len(position) == 0:
         return empty
     first, _ = log_likelihood(position, rotation, m, fields, _COARSE_SIGMA)
     rounds = _MAX_ROUNDS
-    if sufficient and first.max() > sufficient:
-        count, rounds = 1, _MAX_ROUNDS_NEAR
     order = np.argsort(-first, kind="stable")
+    best = order[:1]
+    if near and support(first[best], position[best], rotation[best], m, fields) > _SUFFICIENT_SUPPORT:
+        count, rounds = 1, _MAX_ROUNDS_NEAR
     starts = order[distinct_poses(position[order], rotation[order], 0.5 * radius, count)]
     none = np.zeros((limb.DIRECTIONS, 5))
     peaks = [refine_pose(position[i], rotation[i], m, fields, none, rounds) for i in starts]
@@ -176,8 +209,8 @@ def refine_modes(
     value = modes.log_likelihood
     # a second ball is reported although it gets no particles
     least = min(value.max() - 2.0 * _MAX_LOG_LIKELIHOOD_LOSS, 0.5 * value.max())
-    best = modes.select([i for i in np.argsort(-value) if value[i] > least][: 4 * _MAX_PEAKS])
-    chosen = [best.peaks[i] for i in distinct_poses(best.position, best.rotation, radius, _MAX_PEAKS)]
+    modes = modes.select([i for i in np.argsort(-value) if value[i] > least][: 4 * _MAX_PEAKS])
+    chosen = [modes.peaks[i] for i in distinct_poses(modes.position, modes.rotation, radius, _MAX_PEAKS)]
     if outline and context.tracker.settings.outline:
         chosen = [_refine_with_outline(k, context, fields) for k in chosen]
     modes = _weigh(chosen, m, fields)
@@ -207,18 +240,17 @@ def _converge(peak: Peak, m: Model, fields: Fields) -> Peak:
     return peak
 
 
-def is_ball(modes: Modes, settings: WandSettings, evidence: float = 0.0) -> bool:
-    """Return true if the best peak is the ball. `evidence` is that of its track, 0 for a ball without one.
+def is_ball(modes: Modes, settings: WandSettings) -> bool:
+    """Return true if the best peak is the ball.
 
-    A highlight or a hand hides points, but the rest of a ball has more evidence than an accidental match.
+    A highlight or a hand hides points, but the rest of a ball has more evidence than an accidental match. The bounds
+    depend on pose and picture alone: a recent level of evidence would fall with a track that goes wrong.
     """
     if not modes.peaks:
         return False
-    value, match = float(modes.log_likelihood[0]), float(modes.match[0])
-    strong = value >= max(_STRONG_EVIDENCE * settings.evidence, MIN_EVIDENCE_ELSEWHERE * evidence)
-    if value < settings.evidence or match < settings.match - (_MATCH_REDUCTION if strong else 0.0):
-        return False
-    return bool(strong or match >= CERTAIN_MATCH or (evidence > 0.0 and value >= MIN_EVIDENCE_HIDDEN * evidence))
+    value, match, shows = (float(one[0]) for one in (modes.log_likelihood, modes.match, modes.support))
+    least = _MIN_SUPPORT if value >= _STRONG_EVIDENCE * settings.evidence else settings.match
+    return value >= settings.evidence and match >= _MIN_SUPPORT and shows >= least
 
 
 def search_picture(context: SearchContext, first_spot: int) -> Modes:
@@ -251,7 +283,7 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
         position.append(modes.position)
         rotation.append(modes.rotation)
     if not position:
-        return Modes((), np.zeros(0), np.zeros(0), fields, guess.next_spot)
+        return Modes((), np.zeros(0), np.zeros(0), np.zeros(0), fields, guess.next_spot)
     modes = refine_modes(np.concatenate(position), np.concatenate(rotation), count, context, fields)
     if modes.peaks:
         factor = reduction_factor(2.0 * tracker.camera.fx * ball.radius / modes.peaks[0].position[2])
@@ -285,6 +317,8 @@ def merge_modes(a: Modes, b: Modes, radius: float) -> Modes:
     if best.fields is not rest.fields:
         return best
     position, rotation = (np.concatenate([getattr(k, name) for k in (best, rest)]) for name in ("position", "rotation"))
-    value, match = np.append(best.log_likelihood, rest.log_likelihood), np.append(best.match, rest.match)
-    both = Modes((*best.peaks, *rest.peaks), value, match, best.fields)
+    value, match, support = (
+        np.concatenate([getattr(k, name) for k in (best, rest)]) for name in ("log_likelihood", "match", "support")
+    )
+    both = Modes((*best.peaks, *rest.peaks), value, match, support, best.fields)
     return both.select(distinct_poses(position, rotation, radius, _MAX_PEAKS, kept=len(best.peaks)))

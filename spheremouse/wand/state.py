@@ -75,7 +75,6 @@ class Track:
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s, last measurement
     unseen_frames: int = 0
-    evidence: float = 0.0  # running mean of the log-likelihood ratio of this ball's pose
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
     measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost
     second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m

@@ -49,11 +49,10 @@ from spheremouse.wand.particles import (
 )
 from spheremouse.wand.peaks import (
     CERTAIN_MATCH,
-    MIN_EVIDENCE_ELSEWHERE,
-    MIN_EVIDENCE_HIDDEN,
     Modes,
     Scene,
     SearchContext,
+    determines_pose,
     fields_near,
     is_ball,
     merge_modes,
@@ -68,10 +67,7 @@ from spheremouse.wand.refine import Peak
 from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
 
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
-_DOUBTFUL_EVIDENCE = 0.85  # of the track's evidence: below, spots are tried besides the prediction
-_SUFFICIENT_EVIDENCE = 0.5  # of the track's evidence: a predicted pose with as much is near the right peak
-_EVIDENCE_DECAY = 3.0  # s, of a lost ball's evidence: it can return farther away, or half hidden
-_EVIDENCE_GAIN = 0.2  # the evidence follows the ball's rotation within five frames
+_DOUBTFUL_SUPPORT = 0.8  # below, spots are tried besides the prediction
 _FRACTION_WITHOUT_PEAKS = 0.1  # fraction of the particles drawn without the peaks
 _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area to a tenth
 _PREDICTED_POSES = 48  # predicted particles that are tried
@@ -163,18 +159,17 @@ def follow(
     motions = possible_motions(track, dt, context.tracker)
     modes = _modes_near_prediction(track, motions, fields_near(track, motions, context), context, rng)
     event = None
-    if not is_ball(modes, s, track.evidence) or search_due or second_ball_unconfirmed(track):
+    if not is_ball(modes, s) or search_due or second_ball_unconfirmed(track):
         far = search_picture(context, track.next_spot)
         track = replace(track, next_spot=far.next_spot)
         modes = merge_modes(modes, _gate(far, track, motions, context), radius)
-        first = modes.peaks[0].position if is_ball(modes, s, track.evidence) else None
+        first = modes.peaks[0].position if is_ball(modes, s) else None
         track, event = update_second_ball(track, far, first, dt, context)
-    if not is_ball(modes, s, track.evidence):
+    if not is_ball(modes, s):
         return _predict_hidden(track, stamp, dt, context, rng, modes)
     average = _filter(particles, motions, modes, context.model, s.particles, rng)
     peak = average.peak
     covariance = limit_covariance(peak.covariance)
-    best = float(modes.log_likelihood[0])
     after = replace(
         track,
         phase=Status.TRACKING,
@@ -185,7 +180,6 @@ def follow(
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
-        evidence=track.evidence + _EVIDENCE_GAIN * (best - track.evidence) if track.evidence else best,
         measurement_covariance=covariance,
     )
     return after, _measured_pose(average, modes, context, event)
@@ -197,9 +191,7 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
     modes = search_picture(context, track.next_spot)
     track = replace(track, next_spot=modes.next_spot)
     modes = modes_without_prior(modes, context)
-    decay = np.exp(-(stamp - track.seen) / _EVIDENCE_DECAY)
-    least = MIN_EVIDENCE_ELSEWHERE * track.evidence * decay if track.evidence else 0.0
-    if not is_ball(modes, s) or modes.log_likelihood[0] < least:
+    if not is_ball(modes, s):
         match = float(modes.match[0]) if modes.peaks else 0.0
         missing = WandPose.unknown(ball.name, track.phase, missing_ball(ball, track.seen), match)
         return replace(track, stamp=stamp), missing
@@ -222,7 +214,6 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
         measurement_covariance=limit_covariance(peak.covariance),
         stamp=stamp,
         seen=stamp,
-        evidence=float(modes.log_likelihood[0]),
     )
     after, event = update_second_ball(after, modes, modes.peaks[0].position, 0.0, context)
     return after, _measured_pose(average, modes, context, event)
@@ -297,13 +288,12 @@ def _modes_near_prediction(
     p, R, _ = track.pose
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
-    sufficient = _SUFFICIENT_EVIDENCE * track.evidence
-    modes = refine_modes(position, rotation, _REFINED_PREDICTIONS, context, fields, sufficient=sufficient)
+    modes = refine_modes(position, rotation, _REFINED_PREDICTIONS, context, fields, near=True)
     modes = _gate(modes, track, motions, context)
     if (
-        not is_ball(modes, context.tracker.settings, track.evidence)
+        not is_ball(modes, context.tracker.settings)
         or modes.match[0] < CERTAIN_MATCH
-        or modes.log_likelihood[0] < _DOUBTFUL_EVIDENCE * track.evidence
+        or modes.support[0] < _DOUBTFUL_SUPPORT
     ):
         near = _gate(modes_from_spots(context, fields, _REFINED_HYPOTHESES), track, motions, context)
         modes = merge_modes(modes, near, context.ball.radius)
@@ -311,10 +301,9 @@ def _modes_near_prediction(
 
 
 def _gate(modes: Modes, track: Track, motions: MotionMixture, context: SearchContext) -> Modes:
-    """Keep peaks that the ball can have moved to, and others that pass without a prior and have enough evidence.
+    """Keep peaks that the ball can have moved to and that determine the pose, and others that pass without a prior.
 
-    A ball that starts suddenly must show most of its evidence: if the ball is hidden, only other things in its colours
-    are left in view.
+    A sudden start explains nearly any pose. If the ball is hidden, only other things in its colours are left in view.
     """
     assert track.pose is not None
     p, R, covariance = track.pose
@@ -323,13 +312,9 @@ def _gate(modes: Modes, track: Track, motions: MotionMixture, context: SearchCon
         displacement = pose_difference(p, R, k.position, k.rotation)
         d2 = [
             (displacement - d) @ np.linalg.solve(S + covariance, displacement - d)
-            for d, S in zip(motions.shift, motions.covariance, strict=True)
+            for d, S in zip(motions.shift[:2], motions.covariance[:2], strict=True)
         ]
-        sudden = min(d2[:2]) >= GATE
-        if min(d2) < GATE and not (sudden and modes.log_likelihood[i] < MIN_EVIDENCE_HIDDEN * track.evidence):
-            kept.append(i)
-        elif modes.log_likelihood[i] >= MIN_EVIDENCE_ELSEWHERE * track.evidence:
-            elsewhere.append(i)
+        (kept if min(d2) < GATE and determines_pose(k, modes, context) else elsewhere).append(i)
     passed = modes_without_prior(modes.select(elsewhere), context).peaks
     return modes.select([i for i, k in enumerate(modes.peaks) if i in kept or any(k is other for other in passed)])
 
@@ -350,7 +335,7 @@ def _predict_hidden(
     frames = track.unseen_frames + 1
     match = float(modes.match[0]) if modes.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
-        lost = Track(Status.LOST, stamp=stamp, seen=track.seen, evidence=track.evidence)
+        lost = Track(Status.LOST, stamp=stamp, seen=track.seen)
         return lost, WandPose.unknown(ball.name, Status.LOST, missing_ball(ball, track.seen), match)
     walk = MotionMixture(
         shift=np.zeros((1, 6)), covariance=random_walk_covariance(dt, s)[None], probability=np.ones(1), birth=0.0

@@ -13,7 +13,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import disc_weights, log_likelihood
+from spheremouse.wand.likelihood import disc_weights, log_likelihood, support
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
 from spheremouse.wand.refine import refine_pose
@@ -235,6 +235,38 @@ def test_likelihood_equals_its_twin(view, spread, glare):
     expected = np.array([twins.log_likelihood(*pose, m, seen) for pose in zip(position, rotation, strict=True)])
     np.testing.assert_allclose(value, expected[:, 0], atol=0.25)
     np.testing.assert_allclose(match, expected[:, 1], atol=2e-3)
+
+
+def test_support_is_0_for_a_hidden_ball_and_near_1_in_a_clear_view(view):
+    seen, m, p, R, _ = view
+    p, R = p[None], R[None]
+    value, _ = log_likelihood(p, R, m, seen)
+    assert 0.85 < support(value, p, R, m, seen)[0] < 1.0
+    hidden = replace(seen, weight=np.zeros_like(seen.weight))
+    value, _ = log_likelihood(p, R, m, hidden)
+    assert support(value, p, R, m, hidden)[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_colour_that_the_picture_lacks_does_not_reduce_the_support(view):
+    """The bounds of the colour can be wrong, which is no sign of a hidden ball."""
+    seen, m, p, R, _ = view
+    p, R = p[None], R[None]
+    one = np.array([0, 1])[:, None, None] * np.ones_like(seen.weight)
+    part = replace(seen, weight=(seen.weight * one).astype(np.uint8))
+    value, _ = log_likelihood(p, R, m, part)
+    hidden = support(value, p, R, m, part)[0]
+    lacking = replace(part, binary=(seen.binary * one).astype(np.uint8), fraction=seen.fraction * [0, 1])
+    value, _ = log_likelihood(p, R, m, lacking)
+    assert hidden < 0.7
+    assert support(value, p, R, m, lacking)[0] > 0.85
+
+
+def test_evidence_bounds_equal_their_twin(view):
+    seen, m, p, R, _ = view
+    position, rotation = poses(p, R, 30, 1.0)
+    found = np.array(kernels.evidence_bounds(position, rotation, m.kernel, seen.kernel))
+    expected = np.array([twins.evidence_bounds(*pose, m, seen) for pose in zip(position, rotation, strict=True)])
+    np.testing.assert_allclose(found.swapaxes(0, 1), expected, atol=0.25)
 
 
 def test_likelihood_with_the_weights_of_a_peak_equals_its_twin(view):

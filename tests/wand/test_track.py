@@ -1,6 +1,7 @@
 """Tracker: accuracy on films of the independent renderer, hidden and lost balls, events, distractors."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from experiments.kit.balls import contrast_ball, led_ball
 
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.room import Passing
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.build import build
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
@@ -196,14 +198,14 @@ def test_events_of_bounds_that_match_nothing_or_everything(hand):
     assert pose.event.fraction == 1.0
 
 
-@pytest.mark.parametrize(("first", "after"), [(0, 10.0), (10, 1.0)])
-def test_a_missing_colour_is_reported_after_one_or_ten_seconds(hand, first, after):
-    """Ten seconds if the estimated pose shows no disc of that colour."""
+@pytest.mark.parametrize(("first", "turn", "after"), [(0, (-2.32, 1.28, 0.74), 10.0), (10, (0.0, 0.0, 0.0), 1.0)])
+def test_a_missing_colour_is_reported_after_one_or_ten_seconds(hand, first, turn, after):
+    """Ten seconds if the estimated pose shows no disc of that colour: the turned pose shows a red one alone."""
     camera, balls, shots = hand
     bounds = {"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)}
     tracker = build(camera, balls, WandSettings(region=False), bounds)
     shot = shots[first]
-    begun = begin(tracker, poses={0: (shot.position[0], shot.rotation[0])})
+    begun = begin(tracker, poses={0: (shot.position[0], exp(np.array(turn)) @ shot.rotation[0])})
     settled, _ = follow([replace_stamp(shot, k) for k in range(4)], tracker, begun)
     pose = settled.tracks[0].pose
     assert pose is not None
@@ -268,6 +270,22 @@ def test_a_passing_hand_does_not_attract_the_track(seed):
     assert len(seen) > 25
     assert seen[-1][0] is shots[-1]
     assert wrong(*zip(*seen, strict=True)) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("seed", "fingers", "palm", "before"),
+    [(5, 1.916, (0.0042, -0.0868, 0.617), 6), (7, 0.786, (-0.0668, 0.0096, 0.6225), 12)],
+)
+def test_no_wrong_pose_of_a_ball_half_behind_a_hand_is_seen(seed, fingers, palm, before):
+    """A slow hand covers half of the ball, then more, and the discs that are left fit other poses."""
+    made = prepare_wand(replace(HAND, seed=seed, distance=0.7, seconds=3.0, speed=0.1, rate=90.0))
+    hand = Passing(1.5, 0.06 * np.array([np.cos(fingers), np.sin(fingers), 0.0]), np.array(palm), 1.2)
+    shots = list(islice(simulate_wand(replace(made, scene=replace(made.scene, hands=(hand,)))), 31))
+    _, poses = follow(shots, build(made.scene.camera, (made.scene.balls[0].ball,)))
+    seen = [(shot, pose) for shot, pose in zip(shots, poses, strict=True) if pose[0].seen]
+    assert len(seen) >= before
+    assert wrong(*zip(*seen, strict=True)) == (0, 0)
+    assert poses[-1][0].phase == Status.LOST
 
 
 @pytest.mark.slow

@@ -153,6 +153,17 @@ def log_likelihood(p, R, model, fields, sigma=SIGMA, fixed=None):
     return value, np.sum((w * shows)[counts & (e > 0.3)]) / expected if expected > 0 else 0.0
 
 
+def evidence_bounds(p, R, model, fields):
+    """Twin of `kernels.evidence_bounds` for one pose."""
+    s, fraction = sight(p, R, model, fields), np.clip(fields.fraction, 0.003, 0.5)
+    k = model.points.colour[s.index]
+    w, e, k = (one[k >= 0] for one in (s.w, s.e, k))
+    none = np.exp(-0.5 * (e / SIGMA) ** 2)
+    chance = (1 - OUTLIER) / ((1 - fraction[k]) * none + fraction[k])
+    terms = w * np.log(none * chance + OUTLIER), w * np.log(chance + OUTLIER)
+    return [[np.sum(term[k == one]) for one in range(len(fraction))] for term in terms]
+
+
 def outline_log_likelihood(c, edges, model, factor):
     """Twin of `kernels.outline_log_likelihood` for one position."""
     x = c + outline(c, model.radius)
