@@ -16,7 +16,7 @@ from spheremouse import native
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.constellation.identify import attitude, shared_rotation
 from spheremouse.ball.filters.so3_state import inject
-from spheremouse.ball.texture.picture import correlate, seen_shift
+from spheremouse.ball.texture.picture import correlate, measure_shift
 from spheremouse.ball.track import step
 from spheremouse.commands import app
 from spheremouse.geometry.rotation import exp, left_jacobian
@@ -103,7 +103,7 @@ def run() -> None:
         state = step(state, frame, patterned).state
     learnt = state.search
     correlate(learnt.fine.seen, learnt.fine.picture, learnt.began[None], 50)
-    seen_shift(patterned.detector_data.fine, learnt.fine.seen, learnt.fine.picture, learnt.began, 0.01)
+    measure_shift(patterned.detector_data.fine, learnt.fine.seen, learnt.fine.picture, learnt.began, 0.01)
     known = directions(12, 0)
     turn = exp(np.array([0.2, -0.1, 0.3]))
     seen = (known @ turn.T)[(known @ turn.T)[:, 2] > 0.2]

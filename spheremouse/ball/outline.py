@@ -32,22 +32,17 @@ _MIN_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a 
 
 
 class SeenCentre(NamedTuple):
-    """The ball's centre by its outline, across the line of sight."""
+    """The ball's centre by its outline or its pattern, across the line of sight."""
 
     place: Array  # (2,) m, along the axes, from its place in the rig
     axes: Array  # (3, 2) unit vectors, obj
-    scatter: Array  # (2, 2) m², covariance from the edges
+    scatter: Array  # (2, 2) m², covariance from the edges or the pixels
     common: float  # m², variance that frames share, from shading
 
     @property
     def covariance(self) -> Array:
         """Covariance of the place, (2, 2) m²."""
         return self.scatter + self.common * np.eye(2)
-
-    @property
-    def squared_mahalanobis(self) -> float:
-        """Squared distance from its place in the rig, in standard deviations."""
-        return float(self.place @ np.linalg.solve(self.covariance, self.place))
 
 
 class SeenBall(NamedTuple):

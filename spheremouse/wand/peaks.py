@@ -183,7 +183,7 @@ def refine_modes(
 ) -> Modes:
     """Refine the `count` best of n poses, (n, 3) m in cam and R_cam_ball (n, 3, 3), to peaks of the likelihood.
 
-    If they are `near` a peak and the best one has half of the evidence of a ball in full view, refine that one alone.
+    If they are `near` a peak and the best one has 0.65 of the evidence of a clear view, refine that one alone.
     """
     m, radius = context.model, context.ball.radius
     empty = Modes((), np.zeros(0), np.zeros(0), np.zeros(0), fields)

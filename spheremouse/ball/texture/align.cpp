@@ -282,14 +282,15 @@ nb::tuple align_texture(nb::tuple samples_, nb::tuple picture_, nb::handle R, do
                           r.known.tilt);
 }
 
-/// Where pixels see a ball whose centre is off its place, and how that looks like a rotation.
+/// The directions in which pixels see a ball whose centre is off its place, and their change by a shift.
 ///
 /// All lengths are in radii, and all vectors in obj.
 struct ShiftedBall {
     Vector3f camera;                 // from the ball's place
     Eigen::Matrix<float, 3, 2> axes;  // of the shift
     Pixels seen{};                   // with the directions, from the centre, of the places that they see
-    std::vector<Eigen::Matrix<float, 3, 2>> turns{};  // that move such a place as a shift by 1 along each axis does
+    // rad, rotations of the ball that change what a pixel sees as a shift by 1 along each axis does
+    std::vector<Eigen::Matrix<float, 3, 2>> rotations{};
 
     /// Set the directions for a ball off its place by `shift`. In its place, the `pixels` see it in their directions.
     void move(const Pixels& pixels, const Eigen::Vector2f& shift);
@@ -297,16 +298,16 @@ struct ShiftedBall {
 
 void ShiftedBall::move(const Pixels& pixels, const Eigen::Vector2f& shift) {
     const Vector3f off = axes * shift;
-    turns.resize(pixels.size());
+    rotations.resize(pixels.size());
     for (size_t i = 0; i < pixels.size(); i++) {
         const Vector3f u(pixels.x[i], pixels.y[i], pixels.z[i]), ray = (u - camera) / (u - camera).dot(u);
         const Vector3f place = (u - off + off.dot(u) * ray).normalized();  // on the same ray
         seen.x[i] = place[0], seen.y[i] = place[1], seen.z[i] = place[2];
-        for (int k = 0; k < 2; k++) turns[i].col(k) = place.cross(axes.col(k) - axes.col(k).dot(u) * ray);
+        for (int k = 0; k < 2; k++) rotations[i].col(k) = place.cross(axes.col(k) - axes.col(k).dot(u) * ray);
     }
 }
 
-/// The normal equations of a rotation in axes of the ball, and of a shift of its centre.
+/// The normal equations of three angles of a rotation, in axes of the ball, and of two components of a shift, radii.
 struct ShiftSums {
     Matrix<5> H = Matrix<5>::Zero();
     Vector<5> g = Vector<5>::Zero();
@@ -318,7 +319,7 @@ ShiftSums::ShiftSums(const Residuals& r, const ShiftedBall& ball, const Matrix3f
     double sum[20] = {};
     for (size_t i = 0; i < r.size(); i++) {
         const Vector3f by(r.by_x[i], r.by_y[i], r.by_z[i]);
-        const Eigen::Vector2f by_shift = ball.turns[size_t(r.pixel[i])].transpose() * (R * by);
+        const Eigen::Vector2f by_shift = ball.rotations[size_t(r.pixel[i])].transpose() * (R * by);
         const float a[6] = {by[0], by[1], by[2], by_shift[0], by_shift[1], r.z[i]};
         for (int m = 0, at = 0; m < 5; m++)
             for (int n = m; n < 6; n++) sum[at++] += double(r.weight[i] * a[m] * a[n]);
@@ -336,7 +337,7 @@ struct Shift {
     Matrix<2> covariance = 1e6 * Matrix<2>::Identity();
 };
 
-/// Return the shift that explains pixels, from an attitude that does so as far as one can.
+/// Return the shift that explains pixels together with a rotation, from the attitude that `align` found.
 Shift shift_of(const Samples& samples, const Picture& picture, const Errors& errors, Matrix<3> R, ShiftedBall& ball) {
     Pixels pixels;
     pixels.take(samples, STATIC_ODDS);
@@ -359,8 +360,9 @@ Shift shift_of(const Samples& samples, const Picture& picture, const Errors& err
         found.weigh_tiles(tiles);
         const ShiftSums sums(found, ball, at);
         const Matrix<5> covariance = sums.H.inverse();
-        const Vector<5> dx = covariance * sums.g;
+        Vector<5> dx = covariance * sums.g;
         if (!dx.allFinite()) return {};
+        dx *= std::min(1.0, 0.1 / dx.norm());
         R = R * exp(Vector<3>(dx.head<3>()));
         shift.place += dx.tail<2>();
         shift.covariance = std::max(1.0, double(found.size()) / MOST) * covariance.bottomRightCorner<2, 2>();

@@ -2,14 +2,14 @@
 
 Across the line of sight, a shift of the centre looks like a turn in the middle of the ball, but not near its outline.
 In a good bearing one frame of four shows that it stays. Once it has moved, each frame is resampled for the centre that
-it shows, and the filter lets the centre move.
+it shows, and the filter lets the centre move. The chart moves with it, but the masks of what stands still do not.
 """
 
 import numpy as np
 
 from spheremouse.ball.events import OutOfRound
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
+from spheremouse.ball.filters.so3_state import CENTRE, So3State, with_seen_centre
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.phases.bearing import (
     MAX_DRIFT,
@@ -24,21 +24,26 @@ from spheremouse.ball.phases.bearing import (
 from spheremouse.ball.phases.seen_centre import with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Tracker, TrackState
 from spheremouse.ball.texture.chart import IN_PLACE
-from spheremouse.ball.texture.picture import Alignment, TextureView, seen_shift
+from spheremouse.ball.texture.picture import Alignment, TextureView, measure_shift
 from spheremouse.ball.texture.search import TextureState
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 
-_FRAMES = 4  # of which one shows whether the centre stays
+_FRAMES = 4  # of which one is measured, beside those with unusual residuals
+_TURN = 1  # number of that frame: the others have other tasks
 _UNUSUAL_SCALE = 1.1  # times the usual residuals: a shift of the centre leaves some, and a hand does
-# mean squared Mahalanobis distance of the centre from its place; in it, frames do not share errors and show a quarter
+# Mean squared Mahalanobis distance of the centre from its place. Most of the covariance is that of shading, which
+# frames share. So films in good bearings have 0.1, and single frames of them at most 0.4.
 _MAX_EVIDENCE = 1.0
-_SHIFTED_SIGMAS = 3.0  # of a shift, from which it is no error
-_MIN_SHIFT_PX = 0.05  # of the ball's image in its bearings: less shifts no detail
+_SIGNIFICANT_SIGMAS = 3.0  # of a displacement
+_MIN_SHIFT_PX = 0.05  # of the ball's image: less shifts no detail
 
 
 def image_shift(tracker: Tracker[So3Filter], centre: Array) -> Array:
-    """Return by how much, (2,) px, the image of a ball is off its place that is off by `centre`, (3,) m in obj."""
+    """Return the shift, (2,) px, of the image of a ball with its centre off its place by `centre`, (3,) m in obj.
+
+    It is 0 if it is below a twentieth of a pixel.
+    """
     if not centre.any():
         return IN_PLACE
     rig, pose = tracker.rig, tracker.pose
@@ -47,61 +52,92 @@ def image_shift(tracker: Tracker[So3Filter], centre: Array) -> Array:
     return moved - place if float(np.abs(moved - place).max()) > _MIN_SHIFT_PX else IN_PLACE
 
 
-def is_due(now: TextureState, alignment: Alignment) -> bool:
-    """Return whether a frame is to show the centre: its residuals are larger than usual, or its turn has come."""
-    return now.frame_index % _FRAMES == 1 or alignment.scale > _UNUSUAL_SCALE * now.usual_scale
+def is_measured(now: TextureState, alignment: Alignment) -> bool:
+    """Return whether the centre is measured in a frame: in one of four, and if the residuals are larger than usual."""
+    return _is_regular(now) or alignment.scale > _UNUSUAL_SCALE * now.usual_scale
 
 
-def centre_in_frame(view: TextureView, now: TextureState, alignment: Alignment, predicted: So3State) -> SeenCentre:
-    """Return the ball's centre by a frame, relative to its place in the rig."""
-    seen = seen_shift(view, now.fine.seen, now.fine.picture, alignment.attitude, now.noise)
+def _is_regular(now: TextureState) -> bool:
+    return now.frame_index % _FRAMES == _TURN
+
+
+def measure_centre(
+    view: TextureView, now: TextureState, alignment: Alignment, predicted: So3State
+) -> SeenCentre | None:
+    """Return the ball's centre by a frame, relative to its place in the rig; None if too few pixels show it."""
+    seen = measure_shift(view, now.fine.seen, now.fine.picture, alignment.attitude, now.noise)
+    if not np.trace(seen.scatter) < view.rig.ball.radius**2:
+        return None
     return seen._replace(place=seen.place + seen.axes.T @ predicted.centre)
 
 
-def is_lifted(centre: SeenCentre, tracker: Tracker[So3Filter]) -> bool:
-    """Return whether the ball is significantly off its bearings."""
-    far = float(centre.place @ centre.place) > (0.5 * tracker.settings.loss.lifted * tracker.rig.ball.radius) ** 2
-    return far and centre.squared_mahalanobis > _SHIFTED_SIGMAS**2
+def is_lifted(seen: SeenCentre, state: TrackState[So3State], tracker: Tracker[So3Filter]) -> bool:
+    """Return whether the ball is significantly off its usual place, by more than half of the way of a lifted ball."""
+    path = seen.place - seen.axes.T @ state.centre.home
+    far = float(path @ path) > (0.5 * tracker.settings.loss.lifted * tracker.rig.ball.radius) ** 2
+    return far and _squared_mahalanobis(path, seen.covariance) > _SIGNIFICANT_SIGMAS**2
 
 
-def with_centre_seen(state: TrackState[So3State], seen: SeenCentre, stamp: float) -> CentreCheck:
-    """Return the check of the bearing after a frame that shows the centre, as one in `_FRAMES` does."""
-    return with_evidence(state.centre, seen.squared_mahalanobis, _FRAMES * interval(state, stamp))
+def update_check(
+    check: CentreCheck, seen: SeenCentre, now: TextureState, predicted: So3State, dt: float
+) -> CentreCheck:
+    """Return the check of the bearing after a measured frame, `dt` s after the frame before.
+
+    `predicted` is the filter's state predicted for the frame, with its own estimate of the centre.
+    """
+    path, covariance = _displacement(seen, predicted)
+    dt = _FRAMES * dt if _is_regular(now) else dt
+    check = check._replace(turned=check.turned + float(np.linalg.norm(predicted.rate)) * dt)
+    return with_evidence(check, _squared_mahalanobis(path, covariance), dt)
 
 
 def has_moved(check: CentreCheck) -> bool:
-    """Return whether the centre has left its place, as frames of late show."""
+    """Return whether the centre has left its place, as the frames of the last third of a second show."""
     return check.evidence > _MAX_EVIDENCE
 
 
 def follow_in_bearings(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State, follow: Follow
 ) -> tuple[TrackState[So3State], Events]:
-    """Return the state and the events after an update, by `follow`, and with the centre that the pattern shows.
+    """Filter a frame by `follow`. If the pattern shows that the centre has moved, correct the centre first.
 
-    In a good bearing the centre stays in its place, and the filter does not take it from the frame.
+    `stamp` is in s, and `predicted` is the filter's state predicted for it. Returns the state and its events: the
+    centre has moved for the first time, or the ball is lost since it is lifted.
     """
-    seen, check, events = state.search.shift, state.centre, ()
-    if seen is None or state.search.searched:
+    now, check, events = state.search, state.centre, ()
+    seen = now.shift
+    if seen is None or now.searched:
         return follow(state, stamp, tracker, predicted), ()
-    dt = interval(state, stamp)
-    path = seen.place - seen.axes.T @ predicted.centre
-    if predicted.centre_noise == 0.0:
-        check = with_centre_seen(state, seen, stamp)
+    dt, moves = interval(state, stamp), predicted.centre_noise > 0.0
+    if not moves:
+        check = update_check(check, seen, now, predicted, dt)
         if not has_moved(check):
-            rate = float(np.linalg.norm(state.filter.rate))
-            check = check._replace(turned=check.turned + _FRAMES * dt * rate)
             return follow(state._replace(centre=check), stamp, tracker, predicted), ()
         events = () if check.moved else (OutOfRound(),)
         if check.turned < PROOF_ROTATION:
             predicted = with_doubtful_map(predicted, MAX_DRIFT)
-        check = CentreCheck(moved=True, turned=PROOF_ROTATION, home=check.home)
+    path, covariance = _displacement(seen, predicted)
+    if not moves:
+        check = CentreCheck(
+            moved=True, turned=PROOF_ROTATION, home=check.home
+        )  # the picture shows the ball in its place
         predicted = with_doubtful_turn(predicted, seen.axes @ path, tracker)
-    far = float(path @ np.linalg.solve(seen.covariance, path)) > _SHIFTED_SIGMAS**2
-    if far or predicted.centre_noise == 0.0:
+    jumps = not moves or _squared_mahalanobis(path, covariance) > _SIGNIFICANT_SIGMAS**2
+    if jumps:
         predicted = tracker.filter.let_centre_move(predicted, seen.axes @ path)
     before, predicted = state, with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
     state = follow(state, stamp, tracker, predicted)
-    state = with_learnt_noise(before, state, dt, tracker)
+    if not jumps:
+        state = with_learnt_noise(before, state, dt, tracker)
     state, more = with_usual_place(state._replace(centre=check), stamp, dt, tracker, predicted)
     return state, (*events, *more)
+
+
+def _displacement(seen: SeenCentre, predicted: So3State) -> tuple[Array, Array]:
+    """Return the way, (2,) m along the axes, from the predicted to the measured centre, and its covariance, (2, 2)."""
+    covariance = seen.covariance + seen.axes.T @ predicted.joint[CENTRE, CENTRE] @ seen.axes
+    return seen.place - seen.axes.T @ predicted.centre, covariance
+
+
+def _squared_mahalanobis(path: Array, covariance: Array) -> float:
+    return float(path @ np.linalg.solve(covariance, path))

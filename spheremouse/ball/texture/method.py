@@ -16,6 +16,7 @@ from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import AxisUnseen, Found, NewMap, PatternRepeats, Recognised, Turned
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.phases.bearing import interval
 from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.phases.method import at_new_pose
 from spheremouse.ball.rig import view_of
@@ -32,13 +33,13 @@ from spheremouse.ball.state import (
     start_tracking,
 )
 from spheremouse.ball.texture.centre import (
-    centre_in_frame,
     follow_in_bearings,
     has_moved,
     image_shift,
-    is_due,
     is_lifted,
-    with_centre_seen,
+    is_measured,
+    measure_centre,
+    update_check,
 )
 from spheremouse.ball.texture.picture import (
     DETAIL,
@@ -138,16 +139,22 @@ def detect_texture(
     elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
         alignment = None
     shift, moves = None, predicted.centre_noise > 0.0
-    shows_centre = alignment is not None and now.turned and not tracker.detector.sees_discs
-    if alignment is not None and shows_centre and (moves or lost or is_due(now, alignment)):
-        shift = centre_in_frame(detector.fine, now, alignment, predicted)
-        if lost and is_lifted(shift, tracker):
-            alignment = shift = None
-        elif (moves or has_moved(with_centre_seen(state, shift, frame.stamp))) and not searched:
-            off = image_shift(tracker, shift.axes @ shift.place)
-            shown, _ = detector.light(frame.image, off)
-            now = _with_contrast(detector, before, shown, noise, skew)
-            alignment = near(detector, now, alignment.attitude)[0]
+    shows_centre = now.turned and not tracker.detector.sees_discs
+    if alignment is not None and shows_centre and (moves or lost or is_measured(now, alignment)):
+        shift = measure_centre(detector.fine, now, alignment, predicted)
+    if shift is not None and lost and is_lifted(shift, state, tracker):
+        alignment = shift = None
+    elif alignment is not None and shift is not None and not searched:
+        check = update_check(state.centre, shift, now, predicted, interval(state, frame.stamp))
+        if moves or has_moved(check):
+            moved = image_shift(tracker, shift.axes @ shift.place)
+            light_there, _ = detector.light(frame.image, moved)
+            there = _with_contrast(detector, before, light_there, noise, skew)
+            again = near(detector, there, alignment.attitude)[0]
+            if again is None:
+                shift = None  # it explains nothing
+            else:
+                off, shown, now, alignment = moved, light_there, there, again
     if alignment is not None:
         now = _update_pictures(detector, now, shown, alignment.attitude)
         now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))

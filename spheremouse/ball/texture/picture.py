@@ -285,10 +285,11 @@ def align_samples(
     return Alignment(*kernels.align_texture(samples, picture[:2], attitude, noise, *scale))
 
 
-def seen_shift(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> SeenCentre:
-    """Return the ball's centre by a frame that shows it near an attitude, (3, 3), relative to where it is expected.
+def measure_shift(view: TextureView, seen: Seen, picture: Picture, attitude: Array, noise: float) -> SeenCentre:
+    """Return the ball's centre by a frame, relative to the place for which the frame was resampled.
 
-    A shift across the line of sight looks like a rotation in the middle of the ball, but not towards its outline.
+    `attitude`, (3, 3), is that of the alignment. Across the line of sight, a shift looks like a rotation in the middle
+    of the ball, but not towards its outline.
     """
     ball = view.rig.ball
     axes = view.chart.axes[:2]
