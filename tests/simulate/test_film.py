@@ -338,6 +338,7 @@ def test_a_lifted_ball_goes_and_comes_back_and_an_eccentric_one_goes_round(small
     assert np.allclose(filmed.centre, filmed.attitude @ [0.003, 0.004, 0.0])
 
 
+@pytest.mark.slow
 def test_a_ball_of_another_size_makes_the_same_pictures_and_its_device_scales_with_it():
     options = SimulationOptions(
         size=(160, 120), motion="still", seconds=1.0, fps=8.0, bump=0.6, lift=0.2, lift_seconds=0.6, hands=True
@@ -532,6 +533,7 @@ def reference(far26):
     return recording, scene
 
 
+@pytest.mark.slow
 def test_discs_are_seen_where_a_path_tracer_shows_them(far26):
     recording, scene = reference(far26)
     renderer = Renderer(scene)

@@ -178,6 +178,7 @@ def coloured(image):
     return {"red": (s > 110) & ((h < 12) | (h > 168)), "blue": (s > 110) & (h > 100) & (h < 135)}
 
 
+@pytest.mark.slow
 def test_coloured_regions_lie_where_a_path_tracer_puts_them():
     """The shared recording, rendered once more: centroids of its discs to a tenth of a pixel, areas to some percent.
 

@@ -430,6 +430,7 @@ def strokes(rng, seconds):
     return np.array(attitudes)
 
 
+@pytest.mark.slow
 def test_strokes_that_run_into_each_other_do_not_lose_the_ball():
     """One stroke may be ten times as strong as the last one. The discs are 0.3 rad apart."""
     for seed in range(20):

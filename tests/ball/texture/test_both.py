@@ -49,6 +49,7 @@ def figures(detector):
     return np.sqrt(np.mean(np.sum(np.square(late), axis=1))), np.mean(nees)
 
 
+@pytest.mark.slow
 def test_the_pattern_halves_the_error_of_few_discs_and_tells_it():
     (alone, _), (both, nees) = figures("default"), figures("both")
     assert both < 0.5 * alone

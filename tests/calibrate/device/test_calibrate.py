@@ -98,6 +98,7 @@ def test_rig_and_map_hold_what_was_found(found):
     np.testing.assert_array_equal(disc_map.sightings, found.sightings)
 
 
+@pytest.mark.slow
 def test_without_distances_lengths_are_radii_of_the_ball(stills, found):
     images, device, camera, truth = stills
     free = calibrate(images[:4], replace(device, distances=()), camera)
@@ -130,6 +131,7 @@ def test_wrong_distance_is_named(stills, metres, words):
     assert words in str(e.value)
 
 
+@pytest.mark.slow
 def test_photos_of_another_device_mirrored_and_dark_are_left_out_and_named(stills):
     images, device, camera, _ = stills
     stretched = np.ascontiguousarray(cv2.resize(images[2], None, fx=1.12, fy=1.0)[:, 100:2020])
@@ -260,6 +262,7 @@ def repainted(image, pose, camera, discs, turn):
     return plain
 
 
+@pytest.mark.slow
 def test_ball_that_turned_between_photos_is_told(stills):
     """One photo of six: its targets count, its discs do not, and the others do not suffer."""
     images, device, camera, truth = stills

@@ -118,6 +118,7 @@ def test_one_disc_in_view_of_a_ball_with_twelve_sends_no_jump():
         assert reason.startswith("motion withheld") == (stamp - since > 0.1), stamp
 
 
+@pytest.mark.slow
 def test_a_ball_that_sinks_states_its_cause_and_by_how_much():
     film = prepare(
         SimulationOptions(motion="play", seconds=3.0, lift=1.5, lift_by=(0.0, -10.0, 0.0), lift_seconds=9.0, seed=1)
