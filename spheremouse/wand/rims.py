@@ -12,9 +12,8 @@ from spheremouse.wand.settings import ColourSettings
 
 Image = NDArray[np.uint8]
 OVEREXPOSED = 250.0  # grey value of an overexposed pixel, which passes any lower bound on brightness
-_KNEE = (
-    230.0  # grey value above which cameras compress highlights: it does not give the light (80 to 90 % of full scale)
-)
+# grey value above which cameras compress highlights, so that it does not give the light: 80 to 90 % of full scale
+_KNEE = 230.0
 RIM_SIGMA = 0.25  # px, standard deviation of a rim's shift: print and the picture's blur vary
 _COMPRESSED_SIGMA = 0.5  # px, the same of lights above the knee: their rims are as wide at one and at twice the light
 _GAMMA = 2.2  # of grey values

@@ -41,6 +41,13 @@ def events(steps):
     return [type(e) for s in steps for e in s.events]
 
 
+def errors_of(made, steps, first):
+    """Errors of the attitude, °, of the frames from the `first` on, in which it is right."""
+    offset, pairs = steps[first].estimate.rotation.T @ made[first].attitude, zip(steps, made, strict=True)
+    errors = [log(s.estimate.rotation @ offset @ m.attitude.T) for s, m in pairs]
+    return np.degrees(np.linalg.norm(errors[first:], axis=1))
+
+
 @pytest.fixture(scope="module")
 def speckle():
     made, tracker = film("speckle")
@@ -60,9 +67,7 @@ def test_the_attitude_follows_the_ball_and_no_motion_is_reported_before_it_turns
     first = tracked[0]
     assert tracked == list(range(first, len(steps)))
     assert all(not s.estimate.increment.any() and not s.estimate.confirmed for s in steps[:first])
-    offset = steps[first].estimate.rotation.T @ made[first].attitude
-    errors = [log(steps[k].estimate.rotation @ offset @ made[k].attitude.T) for k in tracked]
-    assert np.degrees(np.linalg.norm(errors, axis=1)).max() < 0.25  # 0.3 px of a ball of 84 px
+    assert errors_of(made, steps, first).max() < 0.25  # 0.3 px of a ball of 84 px
     turned = sum(s.estimate.increment[:3] for s in steps[first + 1 :])
     assert np.allclose(turned, log(made[-1].attitude @ made[first].attitude.T), atol=0.01)
 
@@ -78,19 +83,7 @@ def test_a_rolling_shutter_pulls_nothing(sigma):
     assert events(steps)[:2] == [Found, Turned]
     assert BallLost not in events(steps)
     first = next(k for k, s in enumerate(steps) if s.state.status is Status.TRACKING)
-    offset = steps[first].estimate.rotation.T @ made[first].attitude
-    errors = [log(steps[k].estimate.rotation @ offset @ made[k].attitude.T) for k in range(first, len(steps))]
-    assert np.degrees(np.linalg.norm(errors, axis=1))[-10:].max() < 0.25
-
-
-def errors_of(made, steps, first):
-    """Errors of the attitude, °, of the frames from the `first` on, in which it is right."""
-    offset = steps[first].estimate.rotation.T @ made[first].attitude
-    return np.degrees(
-        [np.linalg.norm(log(s.estimate.rotation @ offset @ m.attitude.T)) for s, m in zip(steps, made, strict=True)][
-            first:
-        ]
-    )
+    assert errors_of(made, steps, first)[-10:].max() < 0.25
 
 
 def test_a_shift_in_the_bearings_is_no_turn_of_the_ball():
