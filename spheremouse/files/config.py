@@ -186,8 +186,8 @@ def describe(settings: Any) -> Iterator[dict[str, Any]]:
             "unit": "" if about["unit"] == "-" else about["unit"],
             "meaning": about["meaning"],
             "type": _kind(hint),
-            "minimum": bounds.get("ge", bounds.get("gt")),
-            "maximum": bounds.get("le", bounds.get("lt")),
+            "minimum": bounds.get("ge"),
+            "maximum": bounds.get("le"),
             "choices": choices or None,
         }
 

@@ -252,7 +252,7 @@ def _suggest(trial: Any, setting: dict[str, Any], duration: float) -> Any:
     if setting["type"] == "integer":
         return trial.suggest_int(key, least, most, log=True)
     value = float(f"{trial.suggest_float(key, least, most, log=True):.2g}")
-    return min(max(value, least), 0.99 * most)  # a bound may be excluded
+    return min(max(value, least), most)
 
 
 def _prune(

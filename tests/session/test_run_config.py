@@ -259,6 +259,7 @@ def test_a_setting_is_described_with_value_default_and_bounds_that_hold():
     for about in found.values():
         for bound, beyond in (("minimum", -1), ("maximum", 1)):
             if about["type"] in ("number", "integer") and about[bound] is not None:
+                config.override(plan.configuration, f"{about['key']}={about[bound]}")  # the end of a slider
                 with pytest.raises(ConfigurationError):
                     config.override(plan.configuration, f"{about['key']}={about[bound] + beyond}")
     types = {key: found[key]["type"] for key in ("output", "discs.masks", "motion.invert_x", "camera.gain", "source")}

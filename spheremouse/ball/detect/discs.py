@@ -78,7 +78,7 @@ class DiscSettings:
         "least contrast, a part of the lighter of disc and ball; print has 0.8, haze and gloss halve it; an edge has "
         "half of that",
         ge=1e-3,
-        lt=1,
+        le=1,
     )
     masks: tuple[tuple[float, ...], ...] = param(
         (),
