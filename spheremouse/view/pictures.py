@@ -13,7 +13,7 @@ from spheremouse.session.control.pictures import PictureReader
 
 INTERVAL = 1 / 15  # s between two pictures
 _LEASE_RENEWAL_S = 1.0  # s between two renewals of the lease
-_PAUSE_AFTER_PICTURE_S = 0.9 * INTERVAL  # s after a picture, in which no other is looked for
+_PAUSE_AFTER_PICTURE_S = 0.97 * INTERVAL  # s after a picture, in which no other is looked for
 _MEMORY_POLL_S = 0.01  # s between two looks into the memory
 _LEASE_KEPT_S = 1.0  # s after the last request, in which the lease is kept
 _LEASE_RETRY_S = 0.5  # s after a failed lease
