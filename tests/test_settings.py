@@ -70,7 +70,7 @@ def test_the_defaults_lie_within_their_bounds():
 @pytest.mark.parametrize(
     ("assignment", "says"),
     [
-        ("discs.contrast=1e9", "must be less than 1, is 1000000000.0"),
+        ("discs.contrast=1e9", "must be at most 1, is 1000000000.0"),
         ("discs.masks=[[0, 0, 1e6, 9]]", "discs.masks[0][2]: must be at most "),
         (f"wand.balls={['a'] * 9}", "must be a list of at most 8, is a list of 9"),
         ("wand.particles=1000000", "must be at most 5000"),
