@@ -79,7 +79,6 @@ def load_map(path: Path) -> SavedMap:
 
 
 def map_text(saved: SavedMap) -> str:
-    """Return the text of a map file."""
     header = [
         f"schema: {SCHEMAS['map']}",
         f'spheremouse: "{saved.version}"',

@@ -102,7 +102,6 @@ def key_of(assignment: str) -> str:
 
 
 def assignments(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return settings, by dotted key, as KEY=VALUE."""
     return tuple(f"{key}={to_yaml(value)}" for key, value in values.items())
 
 
@@ -277,7 +276,6 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
 
 
 def _apply(document: Document, settings: S) -> S:
-    """Return the settings with the values of a checked document."""
     return _update(settings, validate(document, model_of(type(settings))), document, ())
 
 
@@ -388,7 +386,6 @@ def _summary(cls: type) -> str:
 
 
 def _comment_lines(text: str, indent: str) -> list[str]:
-    """Return a text as lines of a YAML comment."""
     mark = f"{indent}# "
     wrap = textwrap.TextWrapper(
         _MAX_LINE_CHARACTERS,

@@ -53,8 +53,6 @@ _TapeDistance = create_model(
 
 
 class DeviceFile(Part):
-    """Content of device.yaml."""
-
     targets: tuple[_Target, ...] = Field(
         min_length=_MIN_TARGETS, max_length=len(CODES), description="list of {id, code}, one for each target"
     )
@@ -101,7 +99,6 @@ def device_template() -> str:
 
 
 def _problems(file: DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
-    """Yield all contradictions of a device file."""
     ids = [t.id for t in file.targets]
     yield from repeated_targets([(t.id, t.code) for t in file.targets])
     yield from _size_problems(file)

@@ -64,7 +64,6 @@ class MapFile(LandmarksFile):
 
 
 def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]:
-    """Return the lines of a file."""
     return [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
         "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
@@ -76,7 +75,6 @@ def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]
 
 
 def landmark_lines(disc_map: DiscMap) -> list[str]:
-    """Return the lines of the discs and of their correlations."""
     sigma, root = _factor(disc_map.covariance)
     lines = ["discs:"]
     for direction, s, sightings in zip(disc_map.directions, sigma.reshape(-1, 2), disc_map.sightings, strict=True):
@@ -92,7 +90,6 @@ def landmark_lines(disc_map: DiscMap) -> list[str]:
 
 
 def _weights_line(projection: Projection) -> list[str]:
-    """Return the line of the colour weights; none for grey, the default."""
     if projection == GREY:
         return []
     blue, green, red = projection.weights

@@ -57,7 +57,6 @@ def read_settings(document: Document) -> dict[str, Any]:
 
 
 def values_of(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the values of KEY=VALUE, by dotted key."""
     pairs = [assignment.partition("=") for assignment in assignments]
     return {key.strip(): parse_value(text, key) for key, _, text in pairs}
 

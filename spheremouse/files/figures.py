@@ -35,7 +35,6 @@ def read_figures(folders: Sequence[Path]) -> list[dict[str, Any]]:
 
 
 def _read_report(path: Path) -> dict[str, Any]:
-    """Return the figures of one report for the page, or the problem that it has."""
     try:
         data = plain_json.loads(read_bytes(path, _MAX_BYTES, "report"))
         written = time.strftime("%Y-%m-%d %H:%M", time.localtime(path.stat().st_mtime))
@@ -76,7 +75,6 @@ def photo_rows(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _camera_rows(data: dict[str, Any]) -> Iterator[Row]:
-    """Yield name, value and standard deviation of a camera calibration."""
     camera = data["camera"]
     yield "picture", f"{int(camera['width'])}x{int(camera['height'])} px", ""
     values = [*(camera[name] for name in _LENS[:_PIXEL_PARAMETERS]), *camera["dist"]]
@@ -90,7 +88,6 @@ def _camera_rows(data: dict[str, Any]) -> Iterator[Row]:
 
 
 def _device_rows(data: dict[str, Any]) -> Iterator[Row]:
-    """Yield name, value and standard deviation of a device calibration."""
     unit, size = ("radii", 1.0) if data["scale_free"] else ("mm", 1e3)
     ball = data["ball"]
     for axis, value in zip("XYZ", ball["center"], strict=True):
@@ -106,7 +103,6 @@ def _device_rows(data: dict[str, Any]) -> Iterator[Row]:
 
 
 def _rolling_rows(data: dict[str, Any]) -> Iterator[Row]:
-    """Yield name, value and standard deviation of a calibration by rolling."""
     size, unit = (1.0, "R") if data["scale"] == "free" else (1e3, "mm")
     digits = 2 if unit == "mm" and data["ball"]["radius"] >= 0.1 else 4
     yield "distance over radius", f"{data['ratio']:.6f}", f"{data['ratio_sigma']:.6f}"

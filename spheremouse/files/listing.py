@@ -42,7 +42,6 @@ def list_recordings(folders: Sequence[Path]) -> list[Listed]:
 
 
 def _read(path: Path) -> Listed:
-    """Return the entry of a recording, or its problem."""
     try:
         scene: Any = plain_json.loads(read_bytes(path / "scene.json", _MAX_SCENE_BYTES, "scene"))
         frames, fps = int(scene["frames"]), float(scene["fps"])

@@ -26,8 +26,6 @@ Cells = Annotated[int, Field(ge=COARSEST, le=FINEST, multiple_of=TILE)]
 
 
 class PictureMapFile(LandmarksFile):
-    """Content of the file of a map of a pattern, without the block."""
-
     noise: float = Field(gt=0, lt=10, description="standard deviation of a contrast in one view")
     correlation: Share = Field(description="usual correlation of a frame with the picture")
     details: Share = Field(description="usual part of a frame that shows a detail")
@@ -35,7 +33,6 @@ class PictureMapFile(LandmarksFile):
 
 
 def lines(header: list[str], picture_map: PictureMap) -> list[str]:
-    """Return the lines of a file."""
     fine, coarse = picture_map.fine, picture_map.coarse
     data = b"".join(_pack(picture) for picture in (fine, coarse))
     block = base64.b64encode(zlib.compress(data)).decode()
@@ -73,7 +70,6 @@ def _pack(picture: Picture) -> bytes:
 
 
 def _unpack(block: bytes, cells: tuple[int, int]) -> tuple[Picture, Picture] | None:
-    """Return the fine and the coarse picture; None if the block is damaged."""
     size = [6 * n * n for n in cells]
     try:
         reader = zlib.decompressobj()

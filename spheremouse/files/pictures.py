@@ -86,7 +86,6 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
 
 
 def px(size: Size) -> str:
-    """Return a size as text, such as 640x480."""
     return f"{size[0]}x{size[1]}"
 
 
@@ -157,7 +156,6 @@ def open_film(path: Path) -> cv2.VideoCapture | None:
 
 
 def film_size(capture: cv2.VideoCapture) -> Size:
-    """Return the size of the frames, px."""
     return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
 

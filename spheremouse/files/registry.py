@@ -108,8 +108,6 @@ class _PlugIn:
         return self._with_named_errors(member) if callable(member) else member
 
     def _with_named_errors(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a plug-in's function whose errors name the plug-in."""
-
         def call(*args: Any, **kwargs: Any) -> Any:
             with self._blame.catch():
                 return function(*args, **kwargs)

@@ -334,7 +334,6 @@ def _open_to_write(path: Path, flags: int) -> int:
 
 
 def _hidden_name(path: Path, ending: str = "") -> Path:
-    """Return a random name beside `path`."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}{ending}")
 
 

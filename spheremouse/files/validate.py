@@ -81,7 +81,6 @@ def _problems(error: ValidationError, document: Document, model: type[BaseModel]
 
 
 def _message(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseModel]) -> str:
-    """Return the message for the complaints of pydantic about one key."""
     first = complaints[0]
     if len(complaints) > 1:
         return _with_advice(", or ".join(map(_complaint_text, complaints)), key, data, model)
@@ -134,7 +133,6 @@ _BOUNDS = {
 
 
 def _complaint_text(e: Any) -> str:
-    """Return one complaint of pydantic in our words."""
     if e["type"] in _WORDS:
         return _WORDS[e["type"]]
     if e["type"] in _BOUNDS:

@@ -48,8 +48,6 @@ class _Disc(Part):
 
 
 class WandModel(Part):
-    """Content of wand.yaml."""
-
     name: str = Field("wand", min_length=1, description="name of the ball in messages")
     radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
@@ -129,7 +127,6 @@ def disc_of(
 
 
 def angles_of(disc: WandDisc) -> tuple[float, float]:
-    """Return azimuth and latitude of a disc in degrees."""
     x, y, z = disc.direction
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))
 
@@ -164,7 +161,6 @@ def _colour_problems(file: WandModel, colours: Mapping[str, ColourSettings]) -> 
 
 
 def _overlaps(ball: WandBall) -> Iterator[Problem]:
-    """Yield a problem for each pair of discs that overlap."""
     for i, disc in enumerate(ball.discs):
         for k, other in enumerate(ball.discs[:i]):
             angle = float(np.arccos(np.clip(disc.direction @ other.direction, -1.0, 1.0)))

@@ -34,8 +34,6 @@ _TAGS = {f"tag:yaml.org,2002:{t}": t for t in ("null", "bool", "int", "float", "
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing wrong at one place."""
-
     key: Key
     text: str
 

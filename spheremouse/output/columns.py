@@ -104,7 +104,6 @@ def _position(frame: str) -> list[Column]:
 
 
 def _upper(covariance: Array) -> tuple[float, ...]:
-    """Return the upper triangle of a matrix (3, 3), row by row."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = covariance.tolist()
     return xx, xy, xz, yy, yz, zz
 

@@ -170,7 +170,6 @@ class Counter:
 
     @property
     def fraction(self) -> Rate:
-        """Counts that are carried to the next call."""
         return self._remainder.value
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:

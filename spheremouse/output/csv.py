@@ -55,7 +55,6 @@ class CsvWriter:
         self._write(b"".join(map(csv_line, rows)))
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _write(self, data: bytes) -> None:

@@ -55,7 +55,6 @@ class DatagramOutput(Output):
         return OutputError(f"{self._name}: cannot be sent: {error.strerror or error}")
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
 

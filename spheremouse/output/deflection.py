@@ -57,7 +57,6 @@ class Watchdog:
         self._thread.join()
 
     def _run(self) -> None:
-        """Release the deflection when no motion has come for the timeout."""
         while self._armed.wait() and not self._over.wait(self._left()):
             self._armed.clear()
             if self._left() > 0.0:
@@ -66,5 +65,4 @@ class Watchdog:
                 self._release()
 
     def _left(self) -> float:
-        """Return the time until the release, s."""
         return max(0.0, self._fed + self._timeout - time.monotonic())

@@ -107,7 +107,6 @@ class FicTrac:
 
 
 def _rotation_vector(R: Array) -> list[float]:
-    """Return the rotation vector, (3,) rad."""
     w, x, y, z = to_quaternion(R)
     size = hypot(x, y, z)
     scale = 2.0 * atan2(size, w) / size if size > 0.0 else 2.0
@@ -128,7 +127,6 @@ def _window_axes(centre: Array) -> Array:
 
 
 def _since_midnight(wall: float) -> float:
-    """Return the seconds since the last midnight of the local time."""
     quarter, rest = divmod(wall, _QUARTER_HOUR_S)
     return _seconds_of_day(quarter) + rest
 

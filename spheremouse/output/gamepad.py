@@ -67,12 +67,10 @@ class Gamepad(Output):
             uinput.write_events("gamepad", self._device, EV_ABS, events)
 
     def _release(self) -> None:
-        """Return the sticks to the centre."""
         with contextlib.suppress(OutputError):  # the next report raises it
             self._move(_CENTRE)
 
     def close(self) -> None:
-        """Centre the sticks and remove the gamepad."""
         self._watchdog.close()
         self._release()
         self._device.close()

@@ -86,7 +86,6 @@ class Server(Generic[ClientType]):
             connection.close()
 
     def _serve(self) -> None:
-        """Accept clients, read and write, until the server is stopped."""
         while True:
             for key, _ in self._selector.select():
                 if key.data is None:
@@ -154,7 +153,6 @@ class LineServer(Server[Client], Output):
         return line
 
     def send(self, report: Report) -> None:
-        """Send the lines of a report to every client."""
         data = b"".join([self.encode(line) for line in self._form.lines(report)])
         self.broadcast(lambda _: data)
         self.blocks = self.has_many_clients

@@ -28,7 +28,6 @@ class Lsl(Output):
         sys.stderr.write(f"lsl:{name}: other computers can receive the stream, without encryption\n")
 
     def send(self, report: Report) -> None:
-        """Send a sample for each ball."""
         if not report.samples:
             return
         if self._outlet is None:
@@ -40,7 +39,6 @@ class Lsl(Output):
             self._outlet.push_sample(self._values(row), stamp)
 
     def close(self) -> None:
-        """Close the outlet."""
         self._outlet = None
 
     def _new_outlet(self, table: Sequence[Column]) -> Any:

@@ -41,7 +41,6 @@ class PartWriter:
         lock(self._part, self._file.fileno())
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """Write the head of the part."""
         pa = self._pa
         types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
         words = [{"unit": c.unit, "frame": c.frame, "meaning": c.meaning} for c in columns]
@@ -52,13 +51,11 @@ class PartWriter:
         self._stream = pa.ipc.new_stream(self._file, self._schema)
 
     def write(self, rows: list[list[Any]]) -> None:
-        """Write rows to the part."""
         arrays = [self._pa.array(v, f.type) for v, f in zip(zip(*rows, strict=True), self._schema, strict=True)]
         self._stream.write_batch(self._pa.record_batch(arrays, schema=self._schema))
         self._file.flush()
 
     def close(self) -> None:
-        """Move the rows to the file."""
         with self._file:
             if self._stream is not None:
                 self._stream.close()

@@ -311,7 +311,6 @@ class OutputThread:
         self._paced, self._acknowledges = output.paced, type(output).delivery is not Output.delivery
 
     def _check_delivery(self) -> None:
-        """Log the start and the end of trouble that an open output reports."""
         if self._output is None:
             return
         trouble = self._output.delivery().trouble
@@ -370,16 +369,13 @@ class OutputThread:
 
 
 def _empty(stamp: float) -> Report:
-    """Return a report without motion."""
     return Report(_NONE, rate=None, stamp=stamp)
 
 
 def _delivery(output: Output | None) -> DeliveryStatus:
-    """Return the counts that have not arrived; none if no output is open."""
     return _ALL_ARRIVED if output is None else output.delivery()
 
 
 def _reason(error: Exception) -> str:
-    """Return an error's message in one line."""
     text = " ".join(str(error).split())
     return text or type(error).__name__

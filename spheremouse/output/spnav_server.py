@@ -61,7 +61,6 @@ class SpnavServer(Server[_Client]):
         self.broadcast(lambda client: client.event(rotation, period))
 
     def close(self) -> None:
-        """End the connections and remove the socket."""
         super().close()
         self._path.unlink(missing_ok=True)
 

@@ -46,11 +46,9 @@ class Table(BatchOutput):
         self._run_record: RunRecord | None = None  # a stream has none
 
     def begin(self, describe_run: DescribeRun) -> None:
-        """Take the function that describes the run; the first frame calls it."""
         self._describe_run = describe_run
 
     def write(self, reports: list[Report]) -> None:
-        """Write the rows of reports."""
         try:
             self._write([report for report in reports if report.samples])
         except BrokenPipeError:

@@ -39,7 +39,6 @@ class Text(BatchOutput):
                 self._write(form.header)
 
     def write(self, reports: list[Report]) -> None:
-        """Write the lines of reports."""
         self._write(b"".join(line for report in reports for line in self._form.lines(report)))
 
     def _write(self, lines: bytes) -> None:
@@ -65,7 +64,6 @@ class Text(BatchOutput):
             os.close(null)
 
     def close(self) -> None:
-        """Write the last lines, and close the file."""
         try:
             self.write_kept()
         finally:

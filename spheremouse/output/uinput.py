@@ -64,7 +64,6 @@ class UInput(Output):
         self._notch = notch
 
     def close(self) -> None:
-        """Remove the mouse."""
         self._device.close()
 
 

@@ -131,11 +131,9 @@ class WandMapping:
 
     @property
     def fraction(self) -> Rate:
-        """Counts that are carried to the next call."""
         return self._state.remainder.value
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
-        """Return counts and counts/s of an estimate, as `point` does. Without a confirmed estimate the rate is None."""
         self._state, counts, rate = point(self._state, estimate, self._settings)
         return counts, rate
 

@@ -119,7 +119,6 @@ def open_dataset(path: Path | str) -> Recording:
 
 
 def _recording_fields(path: Path, scene: _Scene, truth_times: Array | None) -> dict[str, Any]:
-    """Return the fields of `RecordedBall`."""
     stamps = read_stamps(path, scene.frames)
     rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)
     return {

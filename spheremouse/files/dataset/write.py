@@ -188,7 +188,6 @@ def _write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
 
 
 def _begin_table(files: ExitStack, path: Path, columns: Sequence[str]) -> Any:
-    """Return a writer of the rows of a table; `files` closes it."""
     rows = csv.writer(files.enter_context(path.open("w", newline="", encoding="utf-8")), lineterminator="\n")
     rows.writerow(columns)
     return rows

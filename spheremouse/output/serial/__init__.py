@@ -94,12 +94,10 @@ class Serial(Output):
             return DeliveryStatus(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
 
     def drop_waiting(self) -> None:
-        """Drop the counts that the board has not confirmed."""
         with self._lock:
             self.link.drop_waiting(time.perf_counter())
 
     def _trouble(self) -> str:
-        """Return why counts do not arrive, with the remedy."""
         if self._port is None:
             return f"{self._port_trouble}; plug the board in again"
         if self.link.running and self.link.ack is not None and not self.link.ack.flags & Flags.USB_READY:

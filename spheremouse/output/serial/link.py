@@ -56,7 +56,6 @@ class _Targets:
         ]
 
     def add(self, number: int, target: list[int]) -> None:
-        """Add the target of a MOTION."""
         self._pending.append((number, target, target))
         self.low, self.high = _hull([self.low, self.high, target])
         if len(self._pending) > _MAX_IN_FLIGHT:  # join the two oldest
@@ -272,7 +271,6 @@ class Link:
 
     @property
     def _unanswered(self) -> int:
-        """Return the number of frames that await an ACK."""
         return (self._number - 1 - self._answered) & 0xFFFF
 
     def _take_number(self, now: float) -> int:
@@ -376,5 +374,4 @@ class Link:
 
 
 def _hull(points: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
-    """Return the lowest and the highest value on each axis."""
     return [min(axis) for axis in zip(*points, strict=True)], [max(axis) for axis in zip(*points, strict=True)]
