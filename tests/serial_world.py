@@ -100,6 +100,13 @@ class World:
             self._answers = b""
         self._answers += self.down(answer)
 
+    def run(self, ms: int, counts: Any = None) -> None:
+        """Let some time pass, with these counts in each ms."""
+        for _ in range(ms):
+            if counts is not None:
+                self.give(counts)
+            self.step()
+
     def settle(self, max_ms: int = 2000) -> None:
         """Let it come to rest on a healed line, without new counts."""
         self.up.heal()

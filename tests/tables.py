@@ -22,7 +22,8 @@ def frame(sequence, status=Status.TRACKING, coordinates="obj", balls=1, pointing
         A = rng.normal(size=(12, 12))
         estimate = unknown(sequence / 30.0, sequence, status)._replace(
             rotation=Rotation.random(random_state=rng).as_matrix(), position=rng.normal(size=3),
-            rate=rng.normal(size=6), covariance=A @ A.T, increment=rng.normal(size=6), confirmed=True,
+            rate=rng.normal(size=6), covariance=A @ A.T, increment=rng.normal(size=6),
+            increment_covariance=(A @ A.T)[:6, :6], confirmed=True,
             statistics={"discs_used": 5, "discs_seen": 7, "discs_known": 20, "nis": rng.chisquare(10)}
         )  # fmt: skip
         name = "ball #1"

@@ -45,38 +45,28 @@ def world(monkeypatch):
     return here
 
 
-def test_uinput_comes_first_then_the_board_then_the_desktop(world, capsys):
-    world.uinput = world.desktop = True
-    world.ports = [ADAPTER, BOARD]
-    assert open_output("auto") == ("uinput", "")
-    world.uinput = False
-    assert open_output("auto") == ("serial", "auto,id=E661")
-    world.ports = [ADAPTER]
-    assert open_output("auto") == ("desktop", "")
-    said = capsys.readouterr()
-    assert said.out == ""
-    first, second, third = said.err.splitlines()
-    assert first == "auto: takes uinput"
-    assert second == "auto: takes serial:auto,id=E661 (uinput: not here)"
-    assert third.startswith("auto: takes desktop (uinput: not here | serial:auto: no board of ours among ")
+NUMBERLESS = {**BOARD, "serial_number": None}  # and so taken by its port
 
 
-def test_the_third_axis_is_passed_on(world):
-    world.uinput = world.desktop = True
-    assert open_output("auto:third=wheel") == ("uinput", "third=wheel")
-    world.uinput, world.ports = False, [BOARD]
-    assert open_output("auto:third=wheel") == ("serial", "auto,id=E661,third=wheel")
-    world.ports = []
-    assert open_output("auto:third=wheel") == ("desktop", "third=wheel")
+@pytest.mark.parametrize(
+    ("uinput", "ports", "kind", "argument", "said"),
+    [
+        (True, [ADAPTER, BOARD], "uinput", "", "auto: takes uinput\n"),
+        (False, [ADAPTER, BOARD], "serial", "auto,id=E661", "auto: takes serial:auto,id=E661 (uinput: not here)\n"),
+        (False, [NUMBERLESS], "serial", "/dev/ttyACM7", "auto: takes serial:/dev/ttyACM7 (uinput: not here)\n"),
+        (False, [ADAPTER], "desktop", "", "auto: takes desktop (uinput: not here | serial:auto: no board of ours "),
+    ],
+)
+def test_uinput_comes_first_then_the_board_then_the_desktop(world, capsys, uinput, ports, kind, argument, said):
+    world.uinput, world.desktop, world.ports = uinput, True, ports
+    assert open_output("auto") == (kind, argument)
+    out, err = capsys.readouterr()
+    assert (out, err[: len(said)]) == ("", said)
+    assert open_output("auto:third=wheel") == (kind, ",".join(filter(None, (argument, "third=wheel"))))
 
 
 def test_what_it_passes_on_is_what_the_outputs_take():
     assert all(set(VALUES["auto"]) <= set(VALUES[kind]) for kind in ("uinput", "serial", "desktop"))
-
-
-def test_a_board_without_a_number_is_taken_by_its_port(world):
-    world.ports = [{**BOARD, "serial_number": None}]
-    assert open_output("auto") == ("serial", "/dev/ttyACM7")
 
 
 def test_an_adapter_is_never_taken_for_a_board(world):

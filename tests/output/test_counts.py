@@ -20,36 +20,27 @@ RADIUS = 0.6
 steps = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array), max_size=60)
 
 
-def total_counts(rotations, matrix):
-    remainder = Remainder()
-    total = np.zeros(3)
-    for rotation in rotations:
-        counts, remainder = to_counts(rotation, matrix, remainder)
-        assert all(isinstance(c, int) for c in counts)
-        assert np.max(np.abs(remainder.value)) < 1.0
-        assert all(abs(r) <= 0.5 for r, c in zip(remainder.value, counts, strict=True) if c)
-        total += counts
-    return total
-
-
-@given(steps, st.floats(0.01, 2000.0))
-def test_sum_of_counts_is_the_integral_within_one_count(rotations, per_radian):
-    matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
-    integral = matrix @ np.sum(rotations, axis=0) if rotations else np.zeros(3)
-    assert np.max(np.abs(total_counts(rotations, matrix) - integral)) <= 1.0 + 1e-6  # 1e-6: rounding of the sums
+def _turning(stamp, turn, rate=(0.0, 0.0, 0.0)):
+    """Return a confirmed estimate with an increment of `turn`, (3,) rad, and a `rate`, (3,) rad/s."""
+    increment, moving = np.array([*turn, 0.0, 0.0, 0.0]), np.array([*rate, 0.0, 0.0, 0.0])
+    return unknown(stamp)._replace(increment=increment, rate=moving, confirmed=True)
 
 
 @given(steps, st.floats(0.01, 2000.0), st.floats(1e-3, 1e3))
-def test_the_sum_of_counts_with_a_gain_is_the_integral_times_the_gain_within_one_count(rotations, per_radian, factor):
+def test_the_sum_of_counts_is_the_integral_times_the_gain_within_one_count(rotations, per_radian, factor):
     counter = Counter(MotionSettings(counts_per_radian=per_radian).matrix(RADIUS))
     gain = OutputCounter(Response(gain=factor))
-    total = np.zeros(3)
+    plain, scaled = np.zeros(3), np.zeros(3)
     for k, rotation in enumerate(rotations):
-        increment = np.array([*rotation, 0.0, 0.0, 0.0])
-        estimate = unknown(float(k), k)._replace(increment=increment, confirmed=True)
-        total += gain.apply(report_of((Sample(estimate),), counter)).counts
+        made = report_of((Sample(_turning(float(k), rotation)),), counter)
+        assert all(isinstance(c, int) for c in made.counts)
+        assert np.max(np.abs(made.fraction)) < 1.0
+        assert all(abs(r) <= 0.5 for r, c in zip(made.fraction, made.counts, strict=True) if c)
+        plain += made.counts
+        scaled += gain.apply(made).counts
     integral = counter.matrix @ np.sum(rotations, axis=0) if rotations else np.zeros(3)
-    assert np.max(np.abs(total - factor * integral)) <= 1.0 + 1e-6 * max(1.0, factor)  # rounding of the sums
+    assert np.max(np.abs(plain - integral)) <= 1.0 + 1e-6  # rounding of the sums
+    assert np.max(np.abs(scaled - factor * integral)) <= 1.0 + 1e-6 * max(1.0, factor)
 
 
 def test_a_ball_at_rest_on_the_boundary_between_two_counts_is_silent():
@@ -74,12 +65,6 @@ DT = 1.0 / 30.0  # s
 HAND = 2.0  # rad/s, a hand in ordinary play
 
 
-def _turning(stamp, turn, rate=(0.0, 0.0, 0.0)):
-    """Return a confirmed estimate with an increment of `turn`, (3,) rad, and a `rate`, (3,) rad/s."""
-    increment, moving = np.array([*turn, 0.0, 0.0, 0.0]), np.array([*rate, 0.0, 0.0, 0.0])
-    return unknown(stamp)._replace(increment=increment, rate=moving, confirmed=True)
-
-
 def filmed(rates, confirmed, stamps):
     """The motions of a ball of `rates`, (n, 3) rad/s; frames that are not `confirmed` are made up for by the next."""
     motions, left, before = [], np.zeros(3), stamps[0]
@@ -93,11 +78,15 @@ def filmed(rates, confirmed, stamps):
     return motions
 
 
-def reported(motions, per_radian=1e4):
-    """Rotation vectors, (n, 3) rad, that reports stand for, to a part of `per_radian`."""
-    matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
-    counter = Counter(matrix)
-    return np.array([counter.counts(m)[0] for m in motions]) @ np.linalg.inv(matrix).T
+def counted(motions, settings):
+    counter = Counter(settings.matrix(RADIUS))
+    return np.array([counter.counts(m)[0] for m in motions])
+
+
+def reported(motions):
+    """Rotation vectors, (n, 3) rad, that reports stand for, to 1e-4 rad."""
+    settings = MotionSettings(counts_per_radian=1e4)
+    return counted(motions, settings) @ np.linalg.inv(settings.matrix(RADIUS)).T
 
 
 frames = st.lists(
@@ -194,9 +183,8 @@ def test_the_arc_is_counted_not_its_chord(hz):
     turn = np.array([0.0, 0.0, 4 * np.pi])
     n = round(4 * np.pi / np.radians(150.0) * hz)
     attitudes = exp(np.linspace(0.0, 1.0, n + 1)[:, None] * turn)
-    rotations = [rotation_between(a, b) for a, b in pairwise(attitudes)]
-    total = total_counts(rotations, MotionSettings().matrix(RADIUS))
-    assert_allclose(total, [4 * np.pi * 600.0, 0.0, 0.0], atol=0.5 + 1e-9)
+    turns = [_turning(k / hz, rotation_between(a, b)) for k, (a, b) in enumerate(pairwise(attitudes))]
+    assert_allclose(counted(turns, MotionSettings()).sum(axis=0), [4 * np.pi * 600.0, 0.0, 0.0], atol=0.5 + 1e-9)
 
 
 def test_scales():

@@ -22,7 +22,7 @@ from tables import frame
 from spheremouse.output import Report, open_output
 from spheremouse.output.columns import columns, rows
 from spheremouse.output.sample import Sample
-from spheremouse.tracker import Status, unknown
+from spheremouse.tracker import Status
 
 try:
     import pylsl
@@ -95,8 +95,6 @@ def test_a_name_has_no_control_characters():
     assert refused("lsl:a\nb") == r"lsl:'a\nb': a name has no control characters; write lsl:NAME"
 
 
-pytest.importorskip("pythonosc")
-
 FLOAT32 = 2.0**-24  # relative rounding
 
 
@@ -136,15 +134,7 @@ def link():
 
 
 def estimate(seed, status=Status.TRACKING):
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(12, 12))
-    return unknown(1.5, 7, status)._replace(
-        rotation=Rotation.random(random_state=rng).as_matrix(),
-        position=rng.normal(size=3),
-        rate=rng.normal(size=6),
-        covariance=A @ A.T,
-        confirmed=True,
-    )
+    return frame(seed, status).samples[0].estimate
 
 
 def frame_osc(*samples, counts=(3, -2, 1), pointing=0):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from reporting import refused, report
 
 from spheremouse.files import registry
-from spheremouse.output import open_output, uinput
+from spheremouse.output import gamepad, open_output, uinput
 from spheremouse.output.lines import count_lines
 from spheremouse.output.third_axis import NOTCH
 
@@ -174,17 +174,19 @@ def test_notches_follow_the_fine_wheel(turns):
 
 
 def test_the_numbers_are_the_kernels():
-    ecodes = pytest.importorskip("evdev").ecodes
-    names = "EV_KEY EV_REL REL_X REL_Y REL_RZ REL_WHEEL REL_WHEEL_HI_RES BTN_LEFT BTN_RIGHT BTN_MIDDLE"
-    for name in names.split(" "):
-        assert getattr(uinput, name) == getattr(ecodes, name)
-    assert uinput.BUS == ecodes.BUS_VIRTUAL
+    ecodes = vars(pytest.importorskip("evdev").ecodes)
+    ours = vars(uinput) | vars(gamepad)
+    named = {name: n for name, n in ours.items() if name.startswith(("EV_", "REL_", "ABS_", "BTN_", "SYN_"))}
+    assert len(named) == 23
+    assert named == {name: ecodes[name] for name in named}
+    assert ecodes["BUS_VIRTUAL"] == uinput.BUS
 
 
-def test_the_mouse_where_it_cannot_be_made():
+@pytest.mark.parametrize("kind", ["uinput", "gamepad"])
+def test_a_device_where_it_cannot_be_made(kind):
     if os.path.exists("/dev/uinput"):
         pytest.skip("/dev/uinput is here; tests/system uses it")
-    assert refused("uinput") == "uinput: /dev/uinput does not exist; as root: modprobe uinput"
+    assert refused(kind) == f"{kind}: /dev/uinput does not exist; as root: modprobe uinput"
 
 
 # ---- all ----

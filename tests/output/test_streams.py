@@ -2,46 +2,39 @@
 
 import contextlib
 import json
+import select
 import socket
 import subprocess
-import threading
 import time
-from itertools import pairwise
+from itertools import count, pairwise
 
 import pytest
-from reporting import PATIENCE, refused, report, until
+from reporting import PATIENCE, free_port, refused, report, until
 
 from spheremouse.output import open_output, probe
 from spheremouse.output.line_server import LineServer
 
 
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
+@pytest.fixture
+def port():
+    return free_port()
 
 
-def dial(port):
-    client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
-    return client, client.makefile("r")
+@contextlib.contextmanager
+def dialled(port):
+    """A client, and its lines."""
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as client, client.makefile("r") as lines:
+        yield client, lines
 
 
 def send_until_read(output, client):
     """Send reports until a client has its first line: the server accepts in its own thread."""
-    client.setblocking(False)
-    numbers = iter(range(1, 10_000))
-    while True:
-        output.send(report(next(numbers)))
-        try:
-            client.recv(1, socket.MSG_PEEK)
-            client.settimeout(PATIENCE)
-            return
-        except BlockingIOError:
-            time.sleep(0.005)
+    numbers = count(1)
+    until(lambda: output.send(report(next(numbers))) or select.select([client], [], [], 0.005)[0])
 
 
-def test_a_shells_client_reads_whole_lines(tmp_path):
+def test_a_shells_client_reads_whole_lines(port):
     """Bash itself connects, in the middle of a run."""
-    port = free_port()
     with open_output(f"tcp:127.0.0.1:{port},format=counts") as output:
         script = f"exec 3<>/dev/tcp/127.0.0.1/{port}; head -n 4 <&3"
         with subprocess.Popen(["bash", "-c", script], stdout=subprocess.PIPE, text=True) as shell:
@@ -57,12 +50,11 @@ def test_a_shells_client_reads_whole_lines(tmp_path):
     assert lines == [f"0.5 {first + k} 0 0" for k in range(3)]
 
 
-def test_any_number_of_clients_get_lines_from_their_connection_on():
-    port = free_port()
-    with open_output(f"tcp:{port}") as output:
+def test_any_number_of_clients_get_lines_from_their_connection_on(port):
+    with open_output(f"tcp:{port}") as output, contextlib.ExitStack() as stack:
         clients = []
         for _ in range(20):
-            clients.append(dial(port))
+            clients.append(stack.enter_context(dialled(port)))
             send_until_read(output, clients[-1][0])
         output.send(report(-1, -2, -3))
         received = []
@@ -72,43 +64,35 @@ def test_any_number_of_clients_get_lines_from_their_connection_on():
                 counts.append(json.loads(lines.readline())["counts"])
             received.append(counts)
         assert all(len(now) < len(before) for before, now in pairwise(received))
-        for client, lines in clients:
-            lines.close()
-            client.close()
 
 
-def test_a_client_that_does_not_read_is_dropped_and_blocks_nobody():
+def test_a_client_that_does_not_read_is_dropped_and_blocks_nobody(port):
     """It gets whole lines without a gap until its buffer was full, and then the end."""
-    port, count = free_port(), 6000  # 3 MB
-    with open_output(f"tcp:{port}") as output:
-        slow = socket.socket()
+    sent = 6000  # 3 MB
+    with open_output(f"tcp:{port}") as output, socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.connect(("127.0.0.1", port))
         send_until_read(output, slow)
-        quick, quick_lines = dial(port)
-        send_until_read(output, quick)
         longest = 0.0
-        for k in range(count):
-            start = time.monotonic()
-            output.send(report(-k))
-            longest = max(longest, time.monotonic() - start)
-            while json.loads(quick_lines.readline())["counts"][0] != -k:
-                pass
+        with dialled(port) as (quick, quick_lines):
+            send_until_read(output, quick)
+            for k in range(sent):
+                start = time.monotonic()
+                output.send(report(-k))
+                longest = max(longest, time.monotonic() - start)
+                while json.loads(quick_lines.readline())["counts"][0] != -k:
+                    pass
         with slow.makefile("r") as lines:
             *whole, _ = lines.read().split("\n")
-        quick_lines.close()
-        quick.close()
-        slow.close()
     read = [json.loads(line)["counts"][0] for line in whole]
     first = read.index(0)
     assert read[first:] == [-k for k in range(len(read) - first)]
-    assert len(read) - first < count
+    assert len(read) - first < sent
     assert longest < 1.0  # it never waits for the slow client, which would last for ever
 
 
-def test_many_clients_need_a_thread():
+def test_many_clients_need_a_thread(port):
     """The tracker must not wait for the milliseconds that they take."""
-    port = free_port()
     with open_output(f"tcp:{port}") as output:
         for clients, blocks in ((1, False), (20, True), (1, False)):
             with contextlib.ExitStack() as stack:
@@ -117,42 +101,32 @@ def test_many_clients_need_a_thread():
                 until(lambda blocks=blocks: output.send(report(1)) or output.blocks == blocks)
 
 
-def test_a_client_that_disconnects_or_sends_rubbish_is_no_trouble():
-    port = free_port()
+def test_a_client_that_disconnects_or_sends_rubbish_is_no_trouble(port):
     with open_output(f"tcp:{port}") as output:
         for _ in range(30):
-            client, lines = dial(port)
-            client.sendall(b"\0" * 1000)
-            send_until_read(output, client)
-            lines.close()
-            client.close()
+            with dialled(port) as (client, _):
+                client.sendall(b"\0" * 1000)
+                send_until_read(output, client)
             output.send(report(1))
-        half, lines = dial(port)
-        half.shutdown(socket.SHUT_WR)  # as a shell's client without input
-        send_until_read(output, half)
-        assert json.loads(lines.readline())["counts"][1:] == [0, 0]
-        lines.close()
-        half.close()
+        with dialled(port) as (half, lines):
+            half.shutdown(socket.SHUT_WR)  # as a shell's client without input
+            send_until_read(output, half)
+            assert json.loads(lines.readline())["counts"][1:] == [0, 0]
 
 
-def test_closing_ends_the_connections_and_frees_the_port():
-    port = free_port()
+def test_closing_ends_the_connections_and_frees_the_port(port):
     for _ in range(3):
-        with open_output(f"tcp:{port}") as output:
-            client, lines = dial(port)
+        output = open_output(f"tcp:{port}")
+        with dialled(port) as (client, lines):
             send_until_read(output, client)
-        assert lines.read().endswith("\n")
-        lines.close()
-        client.close()
+            output.close()
+            assert lines.read().endswith("\n")
 
 
-def test_a_port_in_use_is_refused():
-    port = free_port()
+def test_a_port_in_use_is_refused(port):
     with open_output(f"tcp:{port}"):
-        assert (
-            refused(f"tcp:{port}")
-            == f"tcp:{port}: Address already in use; stop the other program, or take another port"
-        )
+        hint = "stop the other program, or take another port"
+        assert refused(f"tcp:{port}") == f"tcp:{port}: Address already in use; {hint}"
         assert "Address already in use" in probe(f"tcp:{port}")[0].text
     assert probe(f"tcp:{port}")[0].text == f"port {port} of 127.0.0.1 is free"
     assert refused("tcp:9,origin=x").startswith("tcp:9,origin=x: unknown key origin")
@@ -160,8 +134,8 @@ def test_a_port_in_use_is_refused():
 
 
 @pytest.mark.parametrize(("host", "warned"), [("127.0.0.1", False), ("localhost", False), ("0.0.0.0", True)])
-def test_only_an_open_door_is_warned_of(host, warned, capsys):
-    with open_output(f"tcp:{host}:{free_port()}") as output:
+def test_only_an_open_door_is_warned_of(host, warned, capsys, port):
+    with open_output(f"tcp:{host}:{port}") as output:
         assert isinstance(output, LineServer)
     assert ("other computers can connect" in capsys.readouterr().err) is warned
 
@@ -219,27 +193,15 @@ connect = pytest.importorskip("websockets.sync.client").connect
 exceptions = pytest.importorskip("websockets.exceptions")
 
 
-@pytest.fixture
-def port():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return server.getsockname()[1]
-
-
-def send_while(output, condition):
-    """Send reports of counts 1, 2, 3 and so on while it is so."""
-    end, k = time.monotonic() + 3 * PATIENCE, 0
-    while condition():
-        assert time.monotonic() < end, "no answer"
-        output.send(report(k := k + 1, 2, 3))
-        time.sleep(0.005)
-
-
 def first_message(output, client):
-    messages = []
-    thread = threading.Thread(target=lambda: messages.append(client.recv(PATIENCE)))
-    thread.start()
-    send_while(output, thread.is_alive)
-    return messages[0]
+    """Send reports until a client has a message, and return that."""
+
+    def received():
+        output.send(report(1, 2, 3))
+        with contextlib.suppress(TimeoutError):
+            return client.recv(0.005)
+
+    return until(received)
 
 
 @pytest.mark.parametrize(

@@ -32,10 +32,15 @@ def sequences(kind, path):
     return read["sequence"].tolist()
 
 
-def written(kind, path, *frames):
-    with open_output(f"{kind}:{path}") as output:
+def write(spec, *frames, run=dict):
+    with open_output(spec) as output:
+        output.begin(run)
         for report in frames:
             output.send(report)
+
+
+def written(kind, path, *frames):
+    write(f"{kind}:{path}", *frames)
     return sequences(kind, path)
 
 
@@ -110,17 +115,6 @@ EXACT = {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision"
 FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 
 
-def written_csv(path, *frames):
-    with open_output(f"csv:{path}") as output:
-        for report in frames:
-            output.send(report)
-    return read(path)
-
-
-def read(path):
-    return pd.read_csv(path, comment="#", **EXACT)
-
-
 def names(start, suffixes):
     return [f"{start}_{suffix}" for suffix in suffixes]
 
@@ -128,7 +122,8 @@ def names(start, suffixes):
 @pytest.mark.parametrize("coordinates", ["obj", "cam"])
 def test_pandas_reads_every_number_exactly(tmp_path, coordinates):
     frames = [frame(k, coordinates=coordinates, balls=2, pointing=1) for k in range(1, 30)]
-    table = written_csv(tmp_path / "a.csv", *frames)
+    write(f"csv:{tmp_path / 'a.csv'}", *frames)
+    table = pd.read_csv(tmp_path / "a.csv", comment="#", **EXACT)
     samples = [sample for report in frames for sample in report.samples]
     upper = np.triu_indices(3)
     pairs = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -162,7 +157,7 @@ def test_pandas_reads_every_number_exactly(tmp_path, coordinates):
 
 
 def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
-    written_csv(tmp_path / "a.csv", frame(1))
+    write(f"csv:{tmp_path / 'a.csv'}", frame(1))
     head = (tmp_path / "a.csv").read_text().splitlines()
     assert "# rate_x [rad/s, obj]: angular velocity, x" in head
     assert "# quaternion_w [obj from ball]: attitude, a unit quaternion, w" in head
@@ -172,7 +167,7 @@ def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
 @FULL
 def test_a_stream_takes_a_table_without_a_description_of_the_run():
     with pytest.raises(OutputError, match=r"^/dev/full: cannot be written: No space left on device$"):
-        written_csv("/dev/full", frame(1))
+        write("csv:/dev/full", frame(1))
 
 
 @pytest.mark.parametrize("spec", ["csv", "csv:", "csv:-"])
@@ -185,9 +180,7 @@ pq = pytest.importorskip("pyarrow.parquet")
 
 
 def written_parquet(path, *frames):
-    with open_output(f"parquet:{path}") as output:
-        for report in frames:
-            output.send(report)
+    write(f"parquet:{path}", *frames)
     assert not path.with_name(f"{path.name}.part").exists()
     return pq.read_table(path)
 
@@ -232,10 +225,7 @@ def test_arguments_that_are_none(tmp_path):
 
 
 def described(path, *frames, run=dict):
-    with open_output(f"csv:{path}") as output:
-        output.begin(run)
-        for report in frames:
-            output.send(report)
+    write(f"csv:{path}", *frames, run=run)
     return json.loads(path.with_name(f"{path.name}.json").read_text())
 
 

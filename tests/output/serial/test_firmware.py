@@ -7,7 +7,7 @@ import runpy
 import shutil
 import subprocess
 import sys
-from functools import partialmethod
+from functools import partial, partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,12 +16,11 @@ from unittest.mock import MagicMock, call
 import avr_board
 import numpy as np
 import pytest
+from invoking import fail, invoke, succeed
 from reporting import PATIENCE
 from serial_world import Board, conversation
-from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
-from spheremouse.errors import OutputError
 from spheremouse.files.access import service_files
 from spheremouse.output import serial as output_module
 from spheremouse.output.serial import firmware, messages
@@ -242,9 +241,6 @@ def test_a_computer_that_asks_every_8_ms(mouse):
     )
 
 
-# ---- the light ----
-
-
 # ---- the report descriptor and the version ----
 
 
@@ -382,39 +378,29 @@ def drive(tmp_path):
     return tmp_path
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
-def refusal(*arguments):
-    result = run(*arguments)
-    assert isinstance(result.exception, OutputError)
-    assert "\n" not in str(result.exception)
-    return str(result.exception)
+run, done, refusal = (partial(each, app) for each in (invoke, succeed, fail))
 
 
 def test_an_installation_and_another_one(drive):
-    result = run("install", "--drive", drive)
-    assert result.exit_code == 0, result.exception
-    assert "firmware 1.0.0 in place of none: boot.py, mouse.py, frames.py, protocol.py, code.py" in result.output
-    assert "pull the board and plug it in again; then: spheremouse firmware check" in result.output
+    output = done("install", "--drive", drive)
+    assert "firmware 1.0.0 in place of none: boot.py, mouse.py, frames.py, protocol.py, code.py" in output
+    assert "pull the board and plug it in again; then: spheremouse firmware check" in output
     assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
     assert sorted(p.name for p in drive.iterdir()) == sorted([*firmware.FILES, "boot_out.txt"])
     for name in firmware.FILES:
         assert (drive / name).read_bytes() == (PICO / name).read_bytes()
-    assert "has firmware 1.0.0 already" in run("install", "--drive", drive).output
+    assert "has firmware 1.0.0 already" in done("install", "--drive", drive)
     (drive / "protocol.py").write_text((PICO / "protocol.py").read_text().replace("(1, 0, 0)", "(0, 9, 1)"))
-    assert "1.0.0 in place of 0.9.1: protocol.py" in run("install", "--drive", drive).output
+    assert "1.0.0 in place of 0.9.1: protocol.py" in done("install", "--drive", drive)
 
 
 @pytest.mark.parametrize("left", [0, 5, 300, "zeros"])
 def test_a_copy_that_was_cut_short_is_replaced(drive, left):
-    run("install", "--drive", drive)
+    done("install", "--drive", drive)
     for name in firmware.FILES:
         data = (PICO / name).read_bytes()
         (drive / name).write_bytes(bytes(len(data)) if left == "zeros" else data[:left] + bytes(64))
-    result = run("install", "--drive", drive)
-    assert result.exit_code == 0, result.exception
+    done("install", "--drive", drive)
     for name in firmware.FILES:
         assert (drive / name).read_bytes() == (PICO / name).read_bytes()
 
@@ -424,10 +410,10 @@ def test_files_of_another_program_stay(drive):
     assert "code.py of another program there; save them and use --force" in refusal("install", "--drive", drive)
     assert (drive / "code.py").read_text() == "import my_keyboard\n"
     assert not (drive / "boot.py").exists()
-    assert run("install", "--drive", drive, "--force").exit_code == 0
+    done("install", "--drive", drive, "--force")
     (drive / "code.txt").write_text("print(1)")
     assert "code.txt of another program there" in refusal("install", "--drive", drive)
-    assert run("install", "--drive", drive, "--force").exit_code == 0
+    done("install", "--drive", drive, "--force")
     assert not (drive / "code.txt").exists()
 
 
@@ -478,19 +464,17 @@ def simulated():
 
 def test_a_check(simulated, tmp_path):
     with simulated() as board:
-        result = run("check", "--port", board.port, "--json", "-")
-        assert result.exit_code == 0, result.exception
-        found = json.loads(result.output)
+        found = json.loads(done("check", "--port", board.port, "--json", "-"))
         assert found["port"]["firmware"] == found["here"] == "1.0.0"
         assert (found["port"]["board"], found["wrong"]) == ("simulator", [])
-        checked = run("check", "--port", board.port, "--baud", "230400").output
+        checked = done("check", "--port", board.port, "--baud", "230400")
         assert f"all is well; next: spheremouse run --source ... --output serial:{board.port},baud=230400" in checked
         board.awake = False
-        result = run("check", "--port", board.port, "--json", tmp_path / "found.json")
-    assert result.exit_code == 1
-    assert "plug the board into the game's computer, or wake that up" in result.output
+        code, output = run("check", "--port", board.port, "--json", tmp_path / "found.json")
+    assert code == 1
+    assert "plug the board into the game's computer, or wake that up" in output
     assert json.loads((tmp_path / "found.json").read_text())["wrong"]
-    assert "there already" in str(run("check", "--json", tmp_path / "found.json").exception)
+    assert "there already" in refusal("check", "--json", tmp_path / "found.json")
 
 
 def test_a_check_over_a_bad_line(simulated, monkeypatch):
@@ -499,9 +483,10 @@ def test_a_check_over_a_bad_line(simulated, monkeypatch):
     monkeypatch.setattr(output_module.Serial, "status", partialmethod(output_module.Serial.status, PATIENCE))
     with simulated(damage=0.02, seed=2) as board:
         results = [run("check", "--port", board.port) for _ in range(5)]
-    assert all("frames," in result.output for result in results)
-    assert results[-1].exit_code == 1
-    assert "use shorter wires, see that GND is connected" in results[-1].output
+    assert all("frames," in output for _, output in results)
+    code, output = results[-1]
+    assert code == 1
+    assert "use shorter wires, see that GND is connected" in output
 
 
 @pytest.mark.parametrize(
@@ -518,9 +503,9 @@ def test_another_version_runs(simulated, runs, kind, advice):
     protocol: Any = load_protocol()
     protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
     with simulated(protocol=protocol) as board:
-        result = run("check", "--port", board.port)
-    assert result.exit_code == 1
-    assert advice in result.output
+        code, output = run("check", "--port", board.port)
+    assert code == 1
+    assert advice in output
 
 
 def test_options_are_checked_first():

@@ -226,9 +226,10 @@ def test_status_counts():
 # ---- both ends, and the line between them ----
 
 
-def world(seed=0, **wire):
+def world(seed=0, there=0, back=0, **wire):
+    """A host and a board, and the delays between them, ms."""
     rng = np.random.default_rng(seed)
-    return World(Board(), Wire(rng, **wire), Wire(rng, **wire), begin_ms=2**29 - 500)
+    return World(Board(), Wire(rng, **wire, delay=there), Wire(rng, **wire, delay=back), begin_ms=2**29 - 500)
 
 
 events = st.sampled_from(["run", "cut", "half", "hang", "noise", "flood", "reopen", "sleep", "fast", "reset"])
@@ -248,8 +249,7 @@ delays = st.integers(0, 9)
 )
 def test_every_count_arrives_once_or_is_reported(seed, line, there, back, story):
     """After any story the sum is exact, less `dropped`, and off by `uncertain` at most: 600 counts for each reset."""
-    rng = np.random.default_rng(seed)
-    w = World(Board(), Wire(rng, **line, delay=there), Wire(rng, **line, delay=back), begin_ms=2**29 - 500)
+    rng, w = np.random.default_rng([seed, 1]), world(seed, there, back, **line)
     for event, ms in story:
         w.up.cut = event == "cut"
         w.down.cut = event in ("cut", "half")
@@ -273,8 +273,7 @@ def test_every_count_arrives_once_or_is_reported(seed, line, there, back, story)
 @settings(max_examples=40)
 @given(delays, delays, st.integers(0, 2**32), st.floats(0.0, 0.5))
 def test_no_step_is_refused_whatever_is_in_flight(there, back, seed, lose):
-    rng = np.random.default_rng(seed)
-    w = World(Board(), Wire(rng, lose=lose, delay=there), Wire(rng, lose=lose, delay=back))
+    rng, w = np.random.default_rng([seed, 1]), world(seed, there, back, lose=lose)
     for _ in range(300):
         w.give(rng.choice([-2000, -700, -100, 0, 0, 100, 700, 2000, 40_000], 4))
         w.step()
@@ -284,12 +283,9 @@ def test_no_step_is_refused_whatever_is_in_flight(there, back, seed, lose):
 def test_counts_of_a_long_break_are_dropped_and_reported():
     w = world()
     w.give((5, 0, 0, 0))
-    for _ in range(10):
-        w.step()
+    w.run(10)
     w.up.cut = w.down.cut = True
-    for _ in range(1500):
-        w.give((1, 0, 0, 0))
-        w.step()
+    w.run(1500, (1, 0, 0, 0))
     w.settle()
     assert w.board.moved[0] == 5
     assert w.short == w.link.dropped == [1500, 0, 0, 0]
@@ -299,15 +295,12 @@ def test_buttons_are_released_when_the_host_or_its_tracker_hangs():
     w = world()
     w.give((1, 0, 0, 0))
     w.link.buttons = 0b101
-    for _ in range(950):  # without reports the line is kept for a second
-        w.step()
+    w.run(950)  # without reports the line is kept for a second
     assert w.board.buttons == 0b101
-    for _ in range(160):
-        w.step()
+    w.run(160)
     assert w.board.buttons == 0
     w.give((1, 0, 0, 0))
-    for _ in range(10):
-        w.step()
+    w.run(10)
     assert (w.board.moved[0], w.board.buttons) == (2, 0b101)
     for _ in range(101):
         w.step(run=False)
@@ -315,15 +308,12 @@ def test_buttons_are_released_when_the_host_or_its_tracker_hangs():
 
 
 def test_the_host_program_starts_again():
-    board = Board()
-    first = World(board, Wire(np.random.default_rng(0)), Wire(np.random.default_rng(0)))
-    for _ in range(100):
-        first.give((1, 0, 0, 0))
-        first.step()
-    second = World(board, Wire(np.random.default_rng(0)), Wire(np.random.default_rng(0)), first.ms, first_session=50)
+    first = world()
+    first.run(100, (1, 0, 0, 0))
+    second = World(first.board, first.up, first.down, first.ms, first_session=50)
     second.give((1000, 0, 0, 0))
     second.settle()
-    assert board.moved[0] == first.given[0] + 1000
+    assert first.board.moved[0] == first.given[0] + 1000
 
 
 def test_a_board_of_another_protocol_is_noticed():
@@ -338,18 +328,13 @@ def test_a_board_of_another_protocol_is_noticed():
 
 def test_breaks_are_sessions_that_the_line_or_the_device_ended():
     w = world()
-    for _ in range(50):
-        w.give((1, 0, 0, 0))
-        w.step()
-    for _ in range(1500):  # the tracker pauses
-        w.step()
+    w.run(50, (1, 0, 0, 0))
+    w.run(1500)  # the tracker pauses
     w.give((1, 0, 0, 0))
     w.settle()
     assert (w.link.sessions, w.link.breaks) == (2, 0)
     w.up.cut = True
-    for _ in range(300):
-        w.give((1, 0, 0, 0))
-        w.step()
+    w.run(300, (1, 0, 0, 0))
     assert sum(w.link.waiting) > 290
     w.settle()
     assert (w.link.breaks, w.link.waiting) == (1, [0, 0, 0, 0])
