@@ -37,7 +37,7 @@ from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output import Output, reporter
-from spheremouse.output.reporter_status import ReporterStatus
+from spheremouse.output.reporter import ReporterStatus
 from spheremouse.session import outputs, timing, worker
 from spheremouse.session import service as run
 from spheremouse.session.ball.map_keeper import MapKeeper

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from spheremouse.output import Output, Report
-from spheremouse.output.address import bind
 from spheremouse.output.lines import LineFormat
+from spheremouse.output.network import bind
 
 _MAX_CLIENTS = 256
 _FEW_CLIENTS = 8  # 250 take 2 ms, at times 9 ms, for which the tracker must not wait

@@ -13,9 +13,8 @@ from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
-from spheremouse.output.address import parse_host
-from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.extras import import_extra
+from spheremouse.output.network import DatagramOutput, parse_host, probe_receiver
 from spheremouse.output.response import KEYS
 from spheremouse.output.sample import Sample, to_quaternion
 from spheremouse.tracker import Status

@@ -16,18 +16,21 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import floor, inf
+
+import numpy as np
 
 from spheremouse.errors import internal_error_text
 from spheremouse.output import Counts, DeliveryStatus, Output, OutputClosed, Report, pointer
 from spheremouse.output.call_watch import HANG_TIMEOUT, CallWatch
 from spheremouse.output.pointer import PointerSettings, Resampler, minus, plus
-from spheremouse.output.reporter_status import LatencyLog, ReporterStatus
 
 RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 MAX_QUEUE_TIME = 0.25  # s; counts that waited longer in the queue become unsent
 MAX_QUEUED_FRAMES = 256  # seconds, at any camera's rate
 _MAX_JOIN_TIME = 5.0  # s
+_LATENCY_COUNT = 4096  # a minute at 60 Hz
 _OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
 _NONE: Counts = (0, 0, 0)
 _ALL_ARRIVED = DeliveryStatus()
@@ -44,6 +47,29 @@ def log_line(name: str, reason: object) -> str:
     It names the output once: an error of its address begins with the address, too.
     """
     return f"{name}: {str(reason).removeprefix(name.removeprefix('output ') + ': ')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Time from a frame's stamp to the end of `send`, over the last frames."""
+
+    p50: float  # s
+    p99: float  # s
+    max: float  # s
+
+
+@dataclass(frozen=True, slots=True)
+class ReporterStatus:
+    """Condition of the output, sums of counts and latency."""
+
+    failed: str | None  # reason of a failure; None: the output works
+    ended: bool  # the reader of the output closed it; it is not opened again
+    reports: int  # reports with counts
+    dropped: int  # frames that were not sent: during a failure or pause, too late, or more than the queue holds
+    sent: Counts  # acknowledged ones alone, if the output acknowledges
+    unsent: Counts  # submitted during a failure or pause, or too late; or lost on the way
+    ahead: Counts  # sent before the ball made them; negative: made by the ball and not sent yet
+    latency: Latency | None  # None: no frame was sent yet
 
 
 class OutputThread:
@@ -80,7 +106,7 @@ class OutputThread:
         self._past, self._unsent = _NONE, _NONE  # counts sent before that, and those that will never be sent
         self._calls = CallWatch(lambda reason: log(f"{name}: {reason}"), clock)
         self._reports = self._dropped = 0
-        self._latency = LatencyLog()
+        self._latencies = deque[float](maxlen=_LATENCY_COUNT)  # s, of the last frames
         self._acknowledges = False  # True: the output may report trouble of its receiver
         self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
         self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
@@ -129,7 +155,7 @@ class OutputThread:
     def status(self) -> ReporterStatus:
         """Return the condition of the output, the sums of counts and the latency."""
         failed, arrived, unsent, ahead = self._sums()
-        dropped, latency = self._dropped + self._overflowed, self._latency.summary()
+        dropped, latency = self._dropped + self._overflowed, _latency_of(tuple(self._latencies))
         return ReporterStatus(failed, self._ended, self._reports, dropped, arrived, unsent, ahead, latency)
 
     @property
@@ -235,7 +261,7 @@ class OutputThread:
             due = self._predict(report, taken, now)
             report = report._replace(counts=minus(due, self._sent))
         if self._send(report, due):
-            self._latency.add(self._clock() - taken)
+            self._latencies.append(self._clock() - taken)
 
     def _predict(self, report: Report, taken: float, now: float) -> Counts:
         """Start the prediction from a frame, and return the sum of counts that is due."""
@@ -366,6 +392,13 @@ class OutputThread:
         """Count the queued reports as unsent: sent all at once they would make the pointer jump."""
         for _ in range(len(self._queue)):
             self._unsent, self._dropped = plus(self._unsent, self._queue.popleft()[0].counts), self._dropped + 1
+
+
+def _latency_of(seconds: tuple[float, ...]) -> Latency | None:
+    if not seconds:
+        return None
+    p50, p99 = np.percentile(seconds, (50.0, 99.0)).tolist()
+    return Latency(p50, p99, max(seconds))
 
 
 def _empty(stamp: float) -> Report:

@@ -5,9 +5,9 @@ client sends. A client that does not read is dropped when its buffer is full.
 """
 
 from spheremouse.finding import Finding
-from spheremouse.output.address import parse_host, probe_port
 from spheremouse.output.line_server import LineServer
 from spheremouse.output.lines import LineFormat, parse_address
+from spheremouse.output.network import parse_host, probe_port
 
 
 def open(argument: str) -> LineServer:

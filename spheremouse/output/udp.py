@@ -5,9 +5,8 @@ start and stop at any time.
 """
 
 from spheremouse.finding import Finding
-from spheremouse.output.address import parse_host
-from spheremouse.output.datagram import DatagramOutput, probe_receiver
 from spheremouse.output.lines import LineFormat, parse_address
+from spheremouse.output.network import DatagramOutput, parse_host, probe_receiver
 
 
 def open(argument: str) -> DatagramOutput:

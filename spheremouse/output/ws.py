@@ -11,10 +11,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from spheremouse.finding import Finding
-from spheremouse.output.address import parse_host, probe_port
 from spheremouse.output.extras import import_extra
 from spheremouse.output.line_server import Client, LineServer
 from spheremouse.output.lines import LineFormat, parse_target
+from spheremouse.output.network import parse_host, probe_port
 
 if TYPE_CHECKING:
     from websockets.server import ServerProtocol

@@ -16,8 +16,7 @@ from spheremouse.output import Counts, DescribeRun, Output, Report, open_output,
 from spheremouse.output.counts import OutputCounter
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import PointerSettings, minus, plus
-from spheremouse.output.reporter import OutputThread
-from spheremouse.output.reporter_status import ReporterStatus
+from spheremouse.output.reporter import OutputThread, ReporterStatus
 from spheremouse.output.response import COUNTS_RESPONSE
 from spheremouse.session.process.threads import WorkerPool, begin
 

@@ -24,7 +24,7 @@ from spheremouse.errors import ControlError
 from spheremouse.output import Counts, Report, report_of
 from spheremouse.output.pointer import minus
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
-from spheremouse.output.reporter_status import ReporterStatus
+from spheremouse.output.reporter import ReporterStatus
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.captures import Captures
 from spheremouse.session.config_reloader import READING, ConfigReloader, given, settings_in_use
