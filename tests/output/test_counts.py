@@ -187,7 +187,7 @@ def test_the_arc_is_counted_not_its_chord(hz):
     assert_allclose(counted(turns, MotionSettings()).sum(axis=0), [4 * np.pi * 600.0, 0.0, 0.0], atol=0.5 + 1e-9)
 
 
-def test_scales():
+def test_scales_and_inversions_are_of_their_own_axis():
     rho = np.array([1.0, 1.0, 1.0])
     signs = MotionSettings().directions() @ rho
     assert_allclose(MotionSettings(counts_per_mm=0.5).matrix(0.25) @ rho, 125.0 * signs)
@@ -196,11 +196,6 @@ def test_scales():
     assert_allclose(MotionSettings(counts_per_mm=0.5).matrix(None) @ rho, 300.0 * signs)  # no metres: a ball of 0.6 m
     scaled = MotionSettings(counts_per_radian=1.0, scale_x=2.0, scale_y=3.0, scale_z=5.0).matrix(1.0)
     assert_allclose(scaled @ rho, [2.0, 3.0, 5.0] * signs)
-
-
-def test_each_inversion_reverses_its_own_axis():
-    rho = np.array([1.0, 2.0, 3.0])
-    plain = MotionSettings().matrix(1.0) @ rho
-    assert_allclose(MotionSettings(invert_x=True).matrix(1.0) @ rho, plain * [-1, 1, 1])
-    assert_allclose(MotionSettings(invert_y=True).matrix(1.0) @ rho, plain * [1, -1, 1])
-    assert_allclose(MotionSettings(invert_z=True).matrix(1.0) @ rho, plain * [1, 1, -1])
+    for axis, name in enumerate(("invert_x", "invert_y", "invert_z")):
+        inverted = MotionSettings(counts_per_radian=1.0, **{name: True}).matrix(1.0)
+        assert_allclose(inverted @ rho, signs * np.where(np.arange(3) == axis, -1.0, 1.0))

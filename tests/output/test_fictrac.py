@@ -61,14 +61,17 @@ def estimate(k, increment=(0, 0, 0), rotation=None, status=Status.TRACKING, conf
     )
 
 
+def lines_of(form, made, **more):
+    return form.lines(Report((0, 0, 0), None, 0.0, (Sample(made, **more),)))
+
+
 def walk(increments, camera=None, **options):
     """Return the values of each line of a ball that makes some increments in obj, (n, 3) rad."""
     form, camera = FicTrac(**options), camera or Pose(np.eye(3), np.array([0.0, 0.0, 3.0]))
     rotation, read = Rotation.identity(), []
     for k, increment in enumerate(increments):
         rotation = Rotation.from_rotvec(increment) * rotation
-        sample = Sample(estimate(k, increment, rotation.as_matrix()), camera=camera)
-        (line,) = form.lines(Report((0, 0, 0), None, 0.0, (sample,)))
+        (line,) = lines_of(form, estimate(k, increment, rotation.as_matrix()), camera=camera)
         read.append(parse(line))
     return read
 
@@ -137,13 +140,9 @@ def test_the_window_of_a_ball_in_the_middle_is_the_camera():
 
 def test_a_hand_held_ball_is_in_the_cameras_axes():
     made = estimate(0, (0.1, 0.2, 0.3))._replace(position=np.array([0.0, 0.0, 1.0]))
-    (line,) = FicTrac().lines(Report((0, 0, 0), None, 0.0, (Sample(made, coordinates="cam"),)))
+    (line,) = lines_of(FicTrac(), made, coordinates="cam")
     assert np.allclose(parse(line)["delta_cam"], [0.1, 0.2, 0.3])
     assert np.allclose(parse(line)["delta_lab"], [0.3, 0.1, 0.2])
-
-
-def lines_of(form, made, **more):
-    return form.lines(Report((0, 0, 0), None, 0.0, (Sample(made, **more),)))
 
 
 def test_frames_without_motion_have_no_line_and_a_ball_found_again_begins_a_sequence():

@@ -65,13 +65,6 @@ def test_the_sticks_follow_the_hand_of_each_player(player):
     assert made == {"right": (16384, 0, 0), "away": (0, -16384, 0), "clockwise": (0, 0, 16384)}
 
 
-@given(st.floats(-50, 50), st.floats(-50, 50), st.floats(-50, 50))
-def test_no_rate_leaves_the_range_of_the_axes(x, y, z):
-    made = gamepad.to_sticks(rolling([x, y, z]), Response(curve=0.5))
-    assert made is not None
-    assert max(map(abs, made)) <= gamepad.FULL_DEFLECTION
-
-
 def test_the_sticks_are_centred_when_reports_stop_and_at_the_end():
     device = Device()
     with gamepad.Gamepad(device, Response()) as output:
