@@ -8,10 +8,11 @@ module that is needed is imported.
 
 import importlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.validate import nearest
@@ -67,38 +68,35 @@ def open_spec(
     kind = _full(package, spec).partition(":")[0]
     if kind in package.KINDS:
         return module.open(argument, *more)
-    blame = _Blame(f"{what} {kind}", module.__name__, error)
-    with blame.catch():
+    named_errors = partial(_named_errors, f"{what} {kind}: the plug-in {module.__name__}", error)
+    with named_errors():
         plugin = module.open(argument, *more)
     missing = [name for name in members if not hasattr(plugin, name)]
     if missing:
         raise error(f"{what} {kind}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
-    return _PlugIn(plugin, blame)
+    return _PlugIn(plugin, named_errors)
 
 
-class _Blame(NamedTuple):
-    """Turns unexpected exceptions of a plug-in into errors that name it."""
+@contextmanager
+def _named_errors(origin: str, error: type[SpheremouseError]) -> Iterator[None]:
+    """Turn unexpected exceptions of a plug-in into errors that begin with its `origin`."""
+    try:
+        yield
+    except SpheremouseError:
+        raise
+    except Exception as e:  # a plug-in may raise anything
+        raise error(f"{origin} fails ({_reason(e)}); {_REMEDY}") from e
 
-    name: str
-    module: str
-    error: type[SpheremouseError]
 
-    @contextmanager
-    def catch(self) -> Iterator[None]:
-        try:
-            yield
-        except SpheremouseError:
-            raise
-        except Exception as e:  # a plug-in may raise anything
-            reason = " ".join(f"{type(e).__name__}: {e}".split())[:200]
-            raise self.error(f"{self.name}: the plug-in {self.module} fails ({reason}); {_REMEDY}") from e
+def _reason(e: Exception) -> str:
+    return " ".join(f"{type(e).__name__}: {e}".split())[:200]
 
 
 class _PlugIn:
     """An opened plug-in. Its exceptions contain its name."""
 
-    def __init__(self, plugin: Any, blame: _Blame) -> None:
-        self._plugin, self._blame = plugin, blame
+    def __init__(self, plugin: Any, named_errors: Callable[[], AbstractContextManager[None]]) -> None:
+        self._plugin, self._named_errors = plugin, named_errors
         for name in dir(type(plugin)):  # methods as attributes: from Python 3.12 on, protocols look for no others
             if not name.startswith("_") and callable(getattr(type(plugin), name)):
                 setattr(self, name, self._with_named_errors(getattr(plugin, name)))
@@ -109,16 +107,16 @@ class _PlugIn:
 
     def _with_named_errors(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
-            with self._blame.catch():
+            with self._named_errors():
                 return function(*args, **kwargs)
 
         return call
 
     def __iter__(self) -> Iterator[Any]:
-        with self._blame.catch():
+        with self._named_errors():
             items = iter(self._plugin)
         while True:
-            with self._blame.catch():
+            with self._named_errors():
                 try:
                     item = next(items)
                 except StopIteration:
@@ -126,12 +124,12 @@ class _PlugIn:
             yield item
 
     def __enter__(self) -> "_PlugIn":
-        with self._blame.catch():
+        with self._named_errors():
             entered = self._plugin.__enter__()
-        return self if entered is self._plugin else _PlugIn(entered, self._blame)
+        return self if entered is self._plugin else _PlugIn(entered, self._named_errors)
 
     def __exit__(self, *error: object) -> bool | None:
-        with self._blame.catch():
+        with self._named_errors():
             return self._plugin.__exit__(*error)
 
 
@@ -148,8 +146,7 @@ def _load(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> Module
     try:
         module = entry.load()
     except Exception as e:  # a plug-in may raise anything
-        reason = " ".join(f"{type(e).__name__}: {e}".split())[:200]
-        raise error(f"{origin} cannot be loaded ({reason}); {_REMEDY}") from None
+        raise error(f"{origin} cannot be loaded ({_reason(e)}); {_REMEDY}") from None
     if not callable(getattr(module, "open", None)):
         raise error(f"{origin} breaks the contract: has no function `open`; {_REMEDY}")
     return module

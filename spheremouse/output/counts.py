@@ -104,27 +104,26 @@ class MotionSettings(AxisSettings):
         return self.directions() * (self.factors() * self.scale(radius))[:, None]
 
 
-@dataclass(frozen=True, slots=True)
-class Remainder:
-    """Fractions of counts that are not sent yet: in (-1, 1), and in [-1/2, 1/2] after a report on that axis."""
-
-    value: tuple[float, float, float] = (0.0, 0.0, 0.0)  # counts x, y, third axis
+NO_REMAINDER = (0.0, 0.0, 0.0)
 
 
-def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
+def to_counts(
+    rotation: Array, matrix: Array, remainder: tuple[float, float, float]
+) -> tuple[Counts, tuple[float, float, float]]:
     """Return the whole counts (x, y, third axis) to send for a rotation vector (3,) rad, and the fractions left over.
 
-    `matrix` (3, 3) has counts per radian, in the frame of the rotation. `remainder` has the fractions of the last call.
-    On each axis, the sum of all counts stays within one count of the exact sum. An axis sends nothing until a whole
-    count is due, and then the nearest whole number. Afterwards the ball must turn back by half a count or more until a
-    count back is due, so noise at rest sends no counts back and forth.
+    `matrix` (3, 3) has counts per radian, in the frame of the rotation. `remainder` has the fractions of the last call:
+    in (-1, 1), and in [-1/2, 1/2] after a count on that axis. On each axis, the sum of all counts stays within one
+    count of the exact sum. An axis sends nothing until a whole count is due, and then the nearest whole number.
+    Afterwards the ball must turn back by half a count or more until a count back is due, so noise at rest sends no
+    counts back and forth.
     """
     counts, left = [0, 0, 0], [0.0, 0.0, 0.0]
     for axis, value in enumerate((matrix @ rotation).tolist()):
-        exact = value + remainder.value[axis]
+        exact = value + remainder[axis]
         counts[axis] = round(exact) if abs(exact) >= _WHOLE_COUNT else 0
         left[axis] = exact - counts[axis]
-    return (counts[0], counts[1], counts[2]), Remainder((left[0], left[1], left[2]))
+    return (counts[0], counts[1], counts[2]), (left[0], left[1], left[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +160,7 @@ class Counter:
 
     def __init__(self, matrix: Array) -> None:
         """Take the counts per radian, (3, 3), as `MotionSettings.matrix` returns them."""
-        self.matrix, self._remainder, self._catch_up = matrix, Remainder(), CatchUp()
+        self.matrix, self._remainder, self._catch_up = matrix, NO_REMAINDER, CatchUp()
 
     @property
     def withheld(self) -> Array:
@@ -170,7 +169,7 @@ class Counter:
 
     @property
     def fraction(self) -> Rate:
-        return self._remainder.value
+        return self._remainder
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         """Return counts and counts/s of an estimate.
@@ -194,7 +193,7 @@ class OutputCounter:
 
     def __init__(self, response: Response) -> None:
         self._response, self._changes = response, response != COUNTS_RESPONSE
-        self._fraction, self._remainder = np.zeros(3), Remainder()
+        self._fraction, self._remainder = np.zeros(3), NO_REMAINDER
 
     def apply(self, report: Report) -> Report:
         """Return the report with the counts of this output, and their rate.
@@ -212,4 +211,4 @@ class OutputCounter:
         counts, self._remainder = to_counts(mapped, factor * np.eye(3), self._remainder)
         x, y, z = (0.0, 0.0, 0.0) if report.rate is None else self._response.to_axes((turn @ report.rate).tolist())
         rate = None if report.rate is None else (factor * x, factor * y, factor * z)
-        return report._replace(counts=counts, rate=rate, fraction=self._remainder.value)
+        return report._replace(counts=counts, rate=rate, fraction=self._remainder)

@@ -36,7 +36,7 @@ class Lsl(Output):
         clock, wall = self._pylsl.local_clock(), time.time()
         for sample, row in zip(report.samples, rows(report), strict=True):
             stamp = clock if sample.wall is None else clock - (wall - sample.wall)
-            self._outlet.push_sample(self._values(row), stamp)
+            self._outlet.push_sample([math.nan if row[k] is None else row[k] for k in self._channels], stamp)
 
     def close(self) -> None:
         self._outlet = None
@@ -54,9 +54,6 @@ class Lsl(Output):
             for key, text in words.items():
                 channel.append_child_value(key, text)
         return pylsl.StreamOutlet(info)
-
-    def _values(self, row: list[Any]) -> list[float]:
-        return [math.nan if (value := row[k]) is None else value for k in self._channels]
 
 
 def open(argument: str) -> Lsl:

@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.output import Counts, Rate
-from spheremouse.output.counts import AxisSettings, Remainder, to_counts
+from spheremouse.output.counts import NO_REMAINDER, AxisSettings, to_counts
 from spheremouse.settings import PER_RADIAN, param
 from spheremouse.tracker import Estimate, Status
 
@@ -74,7 +74,7 @@ class PointingState:
 
     counting: bool = False  # False: the ball was never seen, or it was lost; the motion to its next pose moves nothing
     slack: Array = field(default_factory=lambda: np.zeros(3))  # (3,) rad or m, cam: motion within the backlash
-    remainder: Remainder = field(default_factory=Remainder)  # counts
+    remainder: tuple[float, float, float] = NO_REMAINDER  # counts
 
     def reset(self) -> "PointingState":
         """Return the state of a ball that was lost."""
@@ -131,7 +131,7 @@ class WandMapping:
 
     @property
     def fraction(self) -> Rate:
-        return self._state.remainder.value
+        return self._state.remainder
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         self._state, counts, rate = point(self._state, estimate, self._settings)

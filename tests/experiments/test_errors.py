@@ -14,7 +14,7 @@ from experiments.pointer import Path, latency
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.geometry.rotation import log
-from spheremouse.output.counts import MotionSettings, Remainder, to_counts
+from spheremouse.output.counts import NO_REMAINDER, MotionSettings, to_counts
 from spheremouse.simulate.ball.profile import play
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Status
@@ -95,7 +95,7 @@ def motion():
 
 
 def exact(motion, stamps):
-    R, remainder, counts = motion.attitude(stamps), Remainder(), [(0, 0, 0)]
+    R, remainder, counts = motion.attitude(stamps), NO_REMAINDER, [(0, 0, 0)]
     for a, b in pairwise(R):
         moved, remainder = to_counts(log(b @ a.T), MATRIX, remainder)
         counts.append(moved)

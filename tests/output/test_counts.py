@@ -11,7 +11,7 @@ from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
 from spheremouse.output import report_of
-from spheremouse.output.counts import Counter, MotionSettings, OutputCounter, Remainder, to_counts
+from spheremouse.output.counts import NO_REMAINDER, Counter, MotionSettings, OutputCounter, to_counts
 from spheremouse.output.response import Response
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import unknown
@@ -48,7 +48,7 @@ def test_a_ball_at_rest_on_the_boundary_between_two_counts_is_silent():
     rng = np.random.default_rng(3)
     matrix = MotionSettings(counts_per_radian=1.0).matrix(RADIUS)
     for place in (0.5, -0.5, 1.5, 2.49, 7.0):
-        counts, remainder = to_counts(np.full(3, place), matrix, Remainder())
+        counts, remainder = to_counts(np.full(3, place), matrix, NO_REMAINDER)
         assert_array_equal(np.abs(np.array(counts) - place * np.sum(matrix, axis=1)) <= 1.0, True)
         before = np.zeros(3)
         sent = []

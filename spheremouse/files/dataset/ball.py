@@ -30,7 +30,7 @@ from spheremouse.files.dataset.format import (
     read_description,
     rotations,
 )
-from spheremouse.files.dataset.frames import Recorded, fractional, read_stamps
+from spheremouse.files.dataset.frames import Recorded, fractional, recorded_fields
 from spheremouse.files.rig import load_rig
 from spheremouse.files.rig.models import Code
 from spheremouse.files.tables import read_columns
@@ -119,19 +119,8 @@ def open_dataset(path: Path | str) -> Recording:
 
 
 def _recording_fields(path: Path, scene: _Scene, truth_times: Array | None) -> dict[str, Any]:
-    stamps = read_stamps(path, scene.frames)
     rig = _recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _described_rig(scene)
-    return {
-        "path": path,
-        "name": scene.name or path.name,
-        "camera": rig.camera,
-        "fps": scene.fps,
-        "frames": scene.frames,
-        "exposure_s": scene.exposure_s,
-        "stamps": stamps,
-        "truth_times": truth_times,
-        "rig": rig,
-    }
+    return {**recorded_fields(path, scene, rig.camera, truth_times), "rig": rig}
 
 
 def _turn(path: Path, scene: _Scene) -> Array:

@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError, os_errors_as
-from spheremouse.files.dataset.format import STAMP_COLUMNS, check_frames
+from spheremouse.files.dataset.format import STAMP_COLUMNS, SceneEntry, check_frames
 from spheremouse.files.pictures import FRAME_PIXELS, decode, film_images, film_size, open_film, px, read_header
 from spheremouse.files.pictures import MAX_BYTES as PICTURE_BYTES
 from spheremouse.files.safe_files import read_bytes
@@ -71,6 +72,22 @@ class Recorded:
         if self.stamps is not None:
             return self.stamps.stamp
         return np.arange(self.frames) / self.fps if self.truth_times is None else self.truth_times
+
+
+def recorded_fields(
+    path: Path, scene: SceneEntry, camera: InteriorOrientation, truth_times: Array | None
+) -> dict[str, Any]:
+    """Return the fields of `Recorded`, with those of stamps.csv."""
+    return {
+        "path": path,
+        "name": scene.name or path.name,
+        "camera": camera,
+        "fps": scene.fps,
+        "frames": scene.frames,
+        "exposure_s": scene.exposure_s,
+        "stamps": read_stamps(path, scene.frames),
+        "truth_times": truth_times,
+    }
 
 
 def read_frames(recording: Recorded) -> Iterator[Frame]:

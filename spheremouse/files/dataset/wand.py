@@ -26,7 +26,7 @@ from spheremouse.files.dataset.format import (
     read_json,
     rotations,
 )
-from spheremouse.files.dataset.frames import Recorded, read_stamps
+from spheremouse.files.dataset.frames import Recorded, recorded_fields
 from spheremouse.files.tables import read_columns
 from spheremouse.files.wand import angles_of, disc_of
 from spheremouse.files.yaml import Document
@@ -106,16 +106,9 @@ def open_wand(path: Path | str) -> WandRecording:
     truth = path / "truth.csv"
     truths = _read_truths(truth, scene.frames, len(wands)) if truth.exists() else ()
     return WandRecording(
-        path=path,
-        name=scene.name or path.name,
-        camera=scene.interior_orientation(scene.camera),
+        **recorded_fields(path, scene, scene.interior_orientation(scene.camera), truths[0].stamp if truths else None),
         balls=tuple(_wand_ball(f"{path / 'scene.json'}: {key}", wand) for key, wand in wands.items()),
-        fps=scene.fps,
-        frames=scene.frames,
-        exposure_s=scene.exposure_s,
         truths=truths,
-        truth_times=truths[0].stamp if truths else None,
-        stamps=read_stamps(path, scene.frames),
     )
 
 
