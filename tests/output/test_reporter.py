@@ -34,6 +34,8 @@ class World:
     gate: threading.Event | None = None  # sending waits for it
     door: threading.Event | None = None  # opening waits for it
     said: list[str] = field(default_factory=list)
+    senders: list[threading.Thread] = field(default_factory=list)
+    non_blocking: bool = False
 
     def open(self):
         self.opened += 1
@@ -41,7 +43,7 @@ class World:
             assert self.door.wait(PATIENCE)
         if self.missing is not None:
             raise self.missing
-        return Fake(self)
+        return (NonBlocking if self.non_blocking else Fake)(self)
 
     @property
     def sum(self):
@@ -59,6 +61,7 @@ class Fake(Output):
     def send(self, report):
         if self._world.gate is not None:
             assert self._world.gate.wait(PATIENCE)
+        self._world.senders.append(threading.current_thread())
         if self._world.broken is not None:
             raise self._world.broken
         self._world.reports.append(report)
@@ -72,16 +75,19 @@ class Fake(Output):
         raise RuntimeError("leaving fails as well")
 
 
-class WandSource:
-    """Frames, with their sum."""
+class NonBlocking(Fake):
+    paced = blocks = False
+
+
+class Frames:
+    """Frames that are submitted, with their sum."""
 
     def __init__(self, reporter):
         self._reporter, self.sum, self.frames = reporter, np.zeros(3, int), 0
 
-    def __call__(self, *counts, rate=NONE, tracking=True, taken=None, wanted=True):
+    def __call__(self, *counts, rate=NONE, taken=None, wanted=True):
         self.frames += 1
-        stamp, turn, turning = float(self.frames), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)
-        given = report(*counts, stamp=stamp, rotation=turn, rate=turning, counts_rate=rate, confirmed=tracking)
+        given = report(*counts, stamp=float(self.frames), counts_rate=rate)
         self.sum += counts
         self._reporter.submit(given, time.monotonic() if taken is None else taken, wanted=wanted)
 
@@ -100,7 +106,7 @@ def start():
     def begin(world, settings=EXACT, open_it=None):
         reporter = OutputThread(open_it or world.open, settings, world.said.append)
         started.append(reporter)
-        return reporter, WandSource(reporter)
+        return reporter, Frames(reporter)
 
     yield begin
     for reporter in started:
@@ -108,7 +114,7 @@ def start():
 
 
 def even(reporter, given):
-    """WandSource = sent + unsent - ahead, and nothing is ahead at horizon 0."""
+    """Submitted counts = sent + unsent - ahead, and nothing is ahead at horizon 0."""
     status = reporter.status()
     return np.array_equal(np.add(status.sent, status.unsent), given.sum + status.ahead)
 
@@ -130,27 +136,16 @@ def test_every_frame_is_sent_once_even_if_it_is_empty(start):
     assert (status.failed, status.sent, status.unsent, status.ahead) == (None, (8, -2, 1), (0, 0, 0), (0, 0, 0))
 
 
-class NonBlocking(Fake):
-    paced = blocks = False
-
-
 def test_a_report_to_an_output_that_never_blocks_is_sent_by_its_caller(start):
     """So no thread wakes for it. The thread opens the output, also after a failure. No count is missing."""
-    world = World()
-    senders = []
-
-    class Recorded(NonBlocking):
-        def send(self, report):
-            senders.append(threading.current_thread())
-            super().send(report)
-
-    reporter, given = start(world, open_it=lambda: world.open() and Recorded(world))
+    world = World(non_blocking=True)
+    reporter, given = start(world)
     until(lambda: world.entered == 1)
     for k in range(5):
         given(3, -2, 1)
         until(lambda: reporter.queued == (0, 0, 0))  # the thread may still have its turn
         assert len(world.reports) == k + 1
-    assert senders[-1] is threading.current_thread()
+    assert world.senders[-1] is threading.current_thread()
     world.broken = OutputError("broken")
     given(1, 1, 1)
     assert reporter.failed == "broken"
@@ -341,8 +336,8 @@ def test_an_output_that_can_be_opened_but_not_written_is_one_line(start):
 
 def test_an_output_of_frames_loses_none_to_a_slow_opening(start):
     """A table is opened while its library loads."""
-    world = World(door=threading.Event())
-    reporter, given = start(world, open_it=lambda: world.open() and NonBlocking(world))
+    world = World(door=threading.Event(), non_blocking=True)
+    reporter, given = start(world)
     given(3, -2, 1)
     until(lambda: "it cannot be opened" in str(reporter.failed))
     given(5, 0, 0)
@@ -468,7 +463,7 @@ class Playing:
     """Frames of 7 counts at 100 Hz, as of a daemon that withholds them while the output fails."""
 
     def __init__(self, reporter):
-        self.reporter, self.given, self._over = reporter, WandSource(reporter), threading.Event()
+        self.reporter, self.given, self._over = reporter, Frames(reporter), threading.Event()
         self.failed, self.since = [], None  # reasons; s, when the first of them came
         self.after = 0  # counts of x given while it has not failed, after it once had
         self._thread = threading.Thread(target=self._run)
@@ -510,44 +505,32 @@ def board():
         yield simulator
 
 
-def unplug(board):
-    board.unplug()
-
-
-def hold_up(board):
-    board.stalled = True
-
-
-def put_to_sleep(board):
-    board.awake = False
-
-
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        (unplug, "plug the board in again"),
-        (hold_up, "the board does not answer"),
-        (put_to_sleep, "the mouse's computer takes no moves"),
+        ("unplugged", "plug the board in again"),
+        ("stalled", "the board does not answer"),
+        ("asleep", "the mouse's computer takes no moves"),
     ],
 )
 def test_a_board_that_takes_nothing_is_a_failed_output_and_unconfirmed_counts_are_unsent(
     start, board, fault, reason, tmp_path
 ):
-    from simulated_board import Simulator
-
     link = tmp_path / "board"
     link.symlink_to(board.port)
     reporter, _ = start(World(), open_it=lambda: open_output(f"serial:{link}"))
-    with Playing(reporter) as playing, Simulator() as second:
+    with Playing(reporter) as playing, type(board)() as second:
         until(lambda: reporter.status().sent[0] > 100)
-        fault(board)
+        board.stalled, board.awake = fault == "stalled", fault != "asleep"
+        if fault == "unplugged":
+            board.unplug()
         playing.fails(time.monotonic())
         until(lambda: any(reason in why for why in playing.failed) and len(playing.failed) > 30)
         status, arrived = reporter.status(), list(board.moved)
         untold = arrived[0] - status.sent[0]  # with the cable an answer may be lost
-        assert 0 <= untold <= (600 if fault is unplug else 0)
+        assert 0 <= untold <= (600 if fault == "unplugged" else 0)
         assert status.ahead == (0, 0, 0)
-        if fault is unplug:
+        if fault == "unplugged":
             link.unlink()
             link.symlink_to(second.port)
         board.stalled, board.awake = False, True
@@ -558,7 +541,7 @@ def test_a_board_that_takes_nothing_is_a_failed_output_and_unconfirmed_counts_ar
         until(lambda: even(reporter, playing.given) and reporter.status().ahead == (0, 0, 0))
         moved = np.add(board.moved, second.moved)[:2]
         assert reporter.status().sent[0] == moved[0] - untold
-        under_way = 600 if fault is hold_up else 0  # lies in the line, and is obeyed
+        under_way = 600 if fault == "stalled" else 0  # lies in the line, and is obeyed
         assert moved[0] - arrived[0] <= playing.after + under_way  # nothing is made up for
         reporter.close()
         assert even(reporter, playing.given)
@@ -566,16 +549,11 @@ def test_a_board_that_takes_nothing_is_a_failed_output_and_unconfirmed_counts_ar
 
 def read(pipe):
     """Lines that are in it now."""
-    os.set_blocking(pipe, False)
     found = b""
-    while True:
-        try:
-            more = os.read(pipe, 1 << 16)
-        except BlockingIOError:
-            return found.decode().splitlines()
-        if not more:
-            return found.decode().splitlines()
-        found += more
+    with contextlib.suppress(BlockingIOError):
+        while more := os.read(pipe, 1 << 16):
+            found += more
+    return found.decode().splitlines()
 
 
 def test_a_full_pipe_is_a_failed_output(start, tmp_path):
