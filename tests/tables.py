@@ -50,17 +50,18 @@ _KILLED = """
 import os, signal, sys, time
 sys.path[:0] = {path!r}
 from tables import frame
-from spheremouse.output import open_output
+from spheremouse.output import batch, open_output
+batch.MAX_WAIT_S = 0.1
 output = open_output({spec!r}).__enter__()
 output.begin(lambda: {{"source": "a test"}})
 for k in range(1, 101):
     output.send(frame(k))
-    time.sleep({pause!r} if k == 90 else 0.0)
+    time.sleep(0.15 if k == 90 else 0.0)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def write_and_be_killed(spec, pause=0.0):
-    """Write a hundred frames from another process, which is killed then; `pause`, s, is before the last ten."""
-    program = _KILLED.format(spec=spec, path=sys.path, pause=pause)
+def write_and_be_killed(spec):
+    """Write 100 frames, the last ten after a pause, from another process, which writes each 0.1 s and is killed."""
+    program = _KILLED.format(spec=spec, path=sys.path)
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -signal.SIGKILL
