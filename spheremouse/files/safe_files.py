@@ -27,7 +27,7 @@ from collections.abc import Iterator
 from io import BufferedReader, BufferedWriter, TextIOWrapper
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 from spheremouse.errors import ConfigurationError, SpheremouseError, os_errors_as
 
@@ -94,11 +94,6 @@ def open_to_append(path: Path) -> BufferedWriter:
     return os.fdopen(_open_to_write(path, os.O_CREAT | os.O_APPEND), "ab")
 
 
-def open_stream(path: Path) -> BinaryIO:
-    """Open a stream, device or pipe that a person named to write to it."""
-    return os.fdopen(_open_to_write(path, 0), "wb")
-
-
 def is_stream(path: Path) -> bool:
     """Return whether the path is a stream of this program, a device or a pipe."""
     if _STREAM.fullmatch(str(path)):
@@ -131,7 +126,7 @@ def write(path: Path, data: bytes) -> None:
     if not is_stream(path):
         replace(path, data)
         return
-    with open_stream(path) as file:
+    with os.fdopen(_open_to_write(path, 0), "wb") as file:
         file.write(data)
 
 

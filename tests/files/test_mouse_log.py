@@ -27,12 +27,9 @@ def fed(*events):
     return [r for event in events if (r := assembler.feed(*event)) is not None]
 
 
-def test_what_stands_between_two_syn_is_one_report():
+def test_what_stands_between_two_syn_is_one_report_and_buttons_and_other_axes_are_none():
     events = [(1.0, REL, X, 3), (1.0, REL, Y, -2), (1.0, REL, WHEEL, 1), (1.0, SYN, 0, 0), (1.01, REL, X, 1)]
     assert fed(*events, (1.01, SYN, 0, 0)) == [MouseReport(1.0, 3, -2), MouseReport(1.01, 1, 0)]
-
-
-def test_buttons_and_other_axes_are_no_report():
     assert fed((1.0, KEY, 0x110, 1), (1.0, SYN, 0, 0), (1.1, REL, 0x0B, 120), (1.1, SYN, 0, 0)) == []
 
 
