@@ -1,6 +1,7 @@
 """Notice that a call of an output hangs: its own thread makes the calls, and other threads look at them."""
 
 from collections.abc import Callable
+from time import monotonic
 
 # s for which callers must see the same call pending before it counts as hanging. A call takes microseconds, and the
 # load of a machine adds milliseconds. The time starts at a caller's first look, so callers that were delayed themselves
@@ -13,9 +14,9 @@ Call = tuple[str, str]  # what a hang means for a message, and its usual reason 
 class CallWatch:
     """Watches the calls of one output."""
 
-    def __init__(self, log: Callable[[str], None], clock: Callable[[], float]) -> None:
-        """`log` gets the reason of a hang, once for each call; `clock` (s) is monotonic."""
-        self._log, self._clock = log, clock
+    def __init__(self, log: Callable[[str], None]) -> None:
+        """`log` gets the reason of a hang, once for each call."""
+        self._log = log
         self.pending: Call | None = None  # set by the output's thread
         # The one that a caller saw last, and the time of the first sight, s
         self._seen: tuple[Call, float] | None = None
@@ -36,7 +37,7 @@ class CallWatch:
 
     def look(self) -> str | None:
         """Return the reason if the pending call hangs. The first such look logs it."""
-        call, now = self.pending, self._clock()
+        call, now = self.pending, monotonic()
         if call is None:
             return None
         if self._seen is None or self._seen[0] is not call:

@@ -1,10 +1,11 @@
-"""Limit the rate of repeated log lines: one line of a kind in an interval, with the number of suppressed ones."""
+"""Limit the rate of repeated log lines: one line of a kind a second, with the number of suppressed ones."""
 
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+_INTERVAL = 1.0  # s
 _MAX_KINDS = 256  # the kind that was logged longest ago is forgotten
 
 
@@ -21,26 +22,22 @@ class _Kind:
 
 
 class RateLimitedLogger:
-    """Logs one line of each kind in an interval. The next line, or the last one, has the number of suppressed lines."""
+    """Logs one line of each kind a second. The next line, or the last one, has the number of suppressed lines.
 
-    def __init__(
-        self,
-        log: Callable[[str], None],
-        interval: float = 1.0,
-        kind: Callable[[str], str] = strip_digits,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """Limit `log` to one line of each `kind` in `interval` (s). Lines that differ only in digits are one kind."""
-        self._log, self._interval, self._kind, self._clock = log, interval, kind, clock
+    Lines that differ only in digits are one kind.
+    """
+
+    def __init__(self, log: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._log, self._clock = log, clock
         self._kinds: dict[str, _Kind] = {}
         self._lock = threading.Lock()  # not held during `log`
 
     def __call__(self, text: str) -> None:
         """Log a line now or suppress it, from any thread."""
-        now, name = self._clock(), self._kind(text)
+        now, name = self._clock(), strip_digits(text)
         with self._lock:
             kind = self._kinds.pop(name, None)
-            if kind is not None and now - kind.logged_at < self._interval:
+            if kind is not None and now - kind.logged_at < _INTERVAL:
                 kind.suppressed, kind.last = kind.suppressed + 1, text
                 self._kinds[name] = kind
                 return
@@ -50,11 +47,11 @@ class RateLimitedLogger:
         self._log(_with_count(text, 0 if kind is None else kind.suppressed))
 
     def flush(self, end: bool = False) -> None:
-        """Log the last suppressed line of each kind if its interval is over. At the `end`, log that of every kind."""
+        """Log the last suppressed line of each kind if its second is over. At the `end`, log that of every kind."""
         now, due = self._clock(), list[_Kind]()
         with self._lock:
             for name, kind in self._kinds.items():
-                if kind.suppressed and (end or now - kind.logged_at >= self._interval):
+                if kind.suppressed and (end or now - kind.logged_at >= _INTERVAL):
                     due.append(kind)
                     self._kinds[name] = _Kind(now)
         for kind in due:

@@ -13,11 +13,11 @@ not sent.
 
 import contextlib
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, inf
+from time import monotonic
 
 import numpy as np
 
@@ -36,7 +36,7 @@ _NONE: Counts = (0, 0, 0)
 _ALL_ARRIVED = DeliveryStatus()
 
 
-# A report in the queue, the frame's stamp on the clock (s), False during a pause, and the time of `submit` (s). A plain
+# A report in the queue, the frame's stamp (s, monotonic), False during a pause, and the time of `submit` (s). A plain
 # tuple costs each frame and output least.
 _QueuedReport = tuple[Report, float, bool, float]
 
@@ -80,15 +80,14 @@ class OutputThread:
         open_output: Callable[[], Output],
         settings: PointerSettings,
         log: Callable[[str], None],
-        clock: Callable[[], float] = time.monotonic,
         start: Callable[[threading.Thread], None] = threading.Thread.start,
         name: str = "output",
     ) -> None:
-        """Start the thread, which calls `open_output` and `log`; `clock` (s) is monotonic; log lines begin with `name`.
+        """Start the thread, which calls `open_output` and `log`; log lines begin with `name`.
 
         Exceptions of `start`, which starts the thread, propagate, because the system may refuse a new thread.
         """
-        self._open, self._settings, self._log, self._clock, self._name = open_output, settings, log, clock, name
+        self._open, self._settings, self._log, self._name = open_output, settings, log, name
         # Releasing this lock wakes the thread. A condition would make the caller wait for the lock inside it.
         self._wakeup = threading.Lock()
         self._wakeup.acquire()
@@ -100,23 +99,23 @@ class OutputThread:
         self._failed: str | None = None
         self._unproven: str | None = None  # reason of a failure, once the output is open again and took no report yet
         self._failures = 0
-        self._retry_time = clock()  # s, when the thread opens the output
+        self._retry_time = monotonic()  # s, when the thread opens the output
         self._resampler = Resampler()
         self._frame_sum, self._sent = _NONE, _NONE  # counts of frames, and those sent, since `_reset`
         self._past, self._unsent = _NONE, _NONE  # counts sent before that, and those that will never be sent
-        self._calls = CallWatch(lambda reason: log(f"{name}: {reason}"), clock)
+        self._calls = CallWatch(lambda reason: log(f"{name}: {reason}"))
         self._reports = self._dropped = 0
         self._latencies = deque[float](maxlen=_LATENCY_COUNT)  # s, of the last frames
         self._acknowledges = False  # True: the output may report trouble of its receiver
         self._paced = False  # True: counts at a steady rate, with prediction; False: a report a frame
-        self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the clock, s
+        self._last: tuple[Report, float] | None = None  # of the last frame, and its stamp on the monotonic clock, s
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
         self._next_time = inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         start(self._thread)
 
     def submit(self, report: Report, taken: float, *, wanted: bool = True) -> None:
-        """Send or queue a frame's report, taken at a time (s, of the clock), without blocking.
+        """Send or queue a frame's report, taken at a time (s, monotonic), without blocking.
 
         If it is not `wanted`, or during a pause, its counts become unsent.
         """
@@ -127,7 +126,7 @@ class OutputThread:
                 return self._take(report, taken, wanted, taken)
             finally:
                 self._turn.release()
-        self._queue.append((report, taken, wanted, self._clock()))
+        self._queue.append((report, taken, wanted, monotonic()))
         if len(self._queue) > MAX_QUEUED_FRAMES:
             with contextlib.suppress(IndexError):  # the thread has emptied the queue
                 self._overflow = plus(self._overflow, self._queue.popleft()[0].counts)
@@ -139,7 +138,7 @@ class OutputThread:
     def end_prediction(self, now: float) -> None:
         """End the prediction at `now` (s, monotonic), because no frame will correct it."""
         if self._paced:
-            submitted = self._clock()
+            submitted = monotonic()
             self._queue.append((_empty(now), submitted, True, submitted))
             self._wake_thread()
 
@@ -231,7 +230,7 @@ class OutputThread:
 
     def _work(self) -> float:
         """Do all work that is due, and return the time (s) until the next, if no report is submitted before."""
-        if self._output is None and not self._ended and self._clock() >= self._retry_time:
+        if self._output is None and not self._ended and monotonic() >= self._retry_time:
             self._open_again()
         if self._acknowledges:
             self._check_delivery()
@@ -240,16 +239,16 @@ class OutputThread:
         while self._queue:
             self._take(*self._queue.popleft())
         if self._output is None:
-            return inf if self._ended else self._retry_time - self._clock()
+            return inf if self._ended else self._retry_time - monotonic()
         if self._next_time == inf:
             return inf
-        if self._clock() >= self._next_time:
-            self._send_between_frames(self._clock())
-        return self._next_time - self._clock()
+        if monotonic() >= self._next_time:
+            self._send_between_frames(monotonic())
+        return self._next_time - monotonic()
 
     def _take(self, report: Report, taken: float, wanted: bool, submitted: float) -> None:
         """Send a frame's report at once, even an empty one: some outputs use it as a sign of life."""
-        now = self._clock() if self._paced else submitted  # a late report of a frame is still worth sending
+        now = monotonic() if self._paced else submitted  # a late report of a frame is still worth sending
         works = self._output is not None and self._failed is None and not self._paused
         if not (works and wanted) or now - submitted > MAX_QUEUE_TIME:
             self._unsent, self._dropped = plus(self._unsent, report.counts), self._dropped + 1
@@ -261,7 +260,7 @@ class OutputThread:
             due = self._predict(report, taken, now)
             report = report._replace(counts=minus(due, self._sent))
         if self._send(report, due):
-            self._latencies.append(self._clock() - taken)
+            self._latencies.append(monotonic() - taken)
 
     def _predict(self, report: Report, taken: float, now: float) -> Counts:
         """Start the prediction from a frame, and return the sum of counts that is due."""
@@ -333,7 +332,7 @@ class OutputThread:
     def _enter(self) -> None:
         """Open the output, and read whether it is paced and confirms deliveries."""
         self._output = output = self._open().__enter__()
-        self._next_time = self._clock() + output.period
+        self._next_time = monotonic() + output.period
         self._paced, self._acknowledges = output.paced, type(output).delivery is not Output.delivery
 
     def _check_delivery(self) -> None:
@@ -361,7 +360,7 @@ class OutputThread:
         if reason not in (self._failed, self._unproven):
             self._log(log_line(self._name, reason) + ("" if self._ended else "; trying again until it works"))
         self._failed, self._unproven = reason, None
-        self._retry_time = self._clock() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
+        self._retry_time = monotonic() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1
         self._wake_thread()  # to open it again
 
