@@ -21,6 +21,11 @@ def one_line(text: str) -> str:
     return " ".join(text.split())[:120]
 
 
+def reason_of(error: Exception) -> str:
+    """Return the message of an error in one line, or the name of its type if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def internal_error_text() -> str:
     """Return the log lines for the exception in progress, a fault of this program."""
     return "internal error, please report it:\n" + traceback.format_exc().rstrip()

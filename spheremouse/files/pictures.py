@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.errors import reason_of
 from spheremouse.geometry.camera import MAX_PIXELS
 
 if TYPE_CHECKING:
@@ -80,8 +81,8 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
         except (MemoryError, _RefusedError):
             raise
         except Exception as e:  # decoders raise many errors on damaged files
-            what = " ".join(str(e).split())[:80] or type(e).__name__
-            raise OSError(errno.EINVAL, f"damaged ({what}); copy it from the camera again, or leave it out") from None
+            problem = f"damaged ({reason_of(e)[:80]}); copy it from the camera again, or leave it out"
+            raise OSError(errno.EINVAL, problem) from None
     return Header(size, orientation if orientation in range(1, 9) else 1)
 
 

@@ -9,7 +9,7 @@ import os
 import sys
 from typing import Any
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, reason_of
 from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Output, Report
 from spheremouse.output.third_axis import parse_third, whole_notches
@@ -39,7 +39,7 @@ class Desktop(Output):
             if notches:
                 self._mouse.scroll(0, notches)
         except Exception as e:  # the system's binding may raise anything if the desktop ends
-            raise OutputError(f"desktop: the pointer cannot be moved any more: {_line(e)}") from None
+            raise OutputError(f"desktop: the pointer cannot be moved any more: {reason_of(e)}") from None
         self._notch = left
 
     def close(self) -> None:
@@ -79,7 +79,7 @@ def _connect() -> Any:
         mouse = Controller()
         mouse.position  # noqa: B018  the first call that needs an answer of the display
     except Exception as e:
-        raise _system_refusal(_line(e)) from None
+        raise _system_refusal(reason_of(e)) from None
     return mouse
 
 
@@ -98,7 +98,3 @@ def _system_refusal(reason: str) -> OutputError:
 
 def _clip(pixels: int) -> int:
     return max(-_MAX_STEP_PX, min(_MAX_STEP_PX, pixels))
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -21,7 +21,7 @@ from time import monotonic
 
 import numpy as np
 
-from spheremouse.errors import internal_error_text
+from spheremouse.errors import internal_error_text, reason_of
 from spheremouse.output import Counts, DeliveryStatus, Output, OutputClosed, Report, pointer
 from spheremouse.output.call_watch import HANG_TIMEOUT, CallWatch
 from spheremouse.output.pointer import PointerSettings, Resampler, minus, plus
@@ -219,7 +219,7 @@ class OutputThread:
                         wait = self._work()
                     except Exception as e:
                         self._log(internal_error_text())
-                        self._fail(f"internal error: {_reason(e)}", e)
+                        self._fail(f"internal error: {reason_of(e)}", e)
                         wait = 0.0
                 if wait > 0.0:
                     self._wakeup.acquire(timeout=min(wait, threading.TIMEOUT_MAX))
@@ -301,7 +301,7 @@ class OutputThread:
             self._fail("the reader of the output is gone", e)
             return False
         except Exception as e:
-            self._fail(_reason(e), e)
+            self._fail(reason_of(e), e)
             return False
         finally:
             self._calls.pending = None
@@ -321,7 +321,7 @@ class OutputThread:
         try:
             hung = self._calls.run((_OPENS, ""), self._enter)
         except Exception as e:
-            self._fail(_reason(e), e)
+            self._fail(reason_of(e), e)
             return
         if self._failed is not None:
             self._drop_queue()
@@ -374,7 +374,7 @@ class OutputThread:
                 self._calls.run(call, output.__exit__, None if error is None else type(error), error, None)
             except Exception as e:
                 if error is None:  # otherwise the output failed before
-                    self._log(log_line(self._name, _reason(e)))
+                    self._log(log_line(self._name, reason_of(e)))
             missing = plus(_delivery(output).waiting, _delivery(output).lost)
             self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
             self._output = None
@@ -406,8 +406,3 @@ def _empty(stamp: float) -> Report:
 
 def _delivery(output: Output | None) -> DeliveryStatus:
     return _ALL_ARRIVED if output is None else output.delivery()
-
-
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text or type(error).__name__

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, os_errors_as
 from spheremouse.files import plain_json, safe_files
 from spheremouse.output.log_file import write_error
 from spheremouse.output.sample import Sample
@@ -76,10 +76,8 @@ class RunRecord:
 
     def _write(self) -> None:
         text = json.dumps({"schema": 1, "runs": self._runs}, indent=1, allow_nan=False)
-        try:
+        with os_errors_as(OutputError, f"{self._path}: cannot be written"):
             safe_files.replace(self._path, text.encode() + b"\n")
-        except OSError as e:
-            raise write_error(self._path, e) from None
 
 
 def _runs(path: Path) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import orjson
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, os_errors_as
 from spheremouse.files.safe_files import is_stream
 from spheremouse.output import DescribeRun, OutputClosed, Report
 from spheremouse.output.batch import BatchOutput
@@ -61,11 +61,8 @@ class Table(BatchOutput):
 
         Raises OutputError; then the JSON file keeps the end null.
         """
-        try:
-            with contextlib.closing(self._writer):
-                self.write_kept()
-        except OSError as e:
-            raise write_error(self._path, e) from None
+        with os_errors_as(OutputError, f"{self._path}: cannot be written"), contextlib.closing(self._writer):
+            self.write_kept()
         if self._run_record is not None:
             self._run_record.finish()
 

@@ -4,7 +4,7 @@ import re
 from glob import glob
 from pathlib import Path
 
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, os_errors_as
 from spheremouse.files.access import service_files
 from spheremouse.files.safe_files import replace
 
@@ -71,14 +71,12 @@ def install(drive: Path, force: bool) -> list[str]:
     if others and not force:
         raise OutputError(f"{drive}: {', '.join(others)} of another program there", "save them and use --force")
     stale = [name for name, data in files.items() if _bytes(drive / name) != data]
-    try:
+    hint = "see that the drive is neither full nor write-protected, pull the board, plug it in again and repeat"
+    with os_errors_as(OutputError, f"{drive}: cannot be written", hint):
         for name in _OVERRIDING_FILES:
             (drive / name).unlink(missing_ok=True)
         for name in stale:
             replace(drive / name, files[name])
-    except OSError as e:
-        hint = "see that the drive is neither full nor write-protected, pull the board, plug it in again and repeat"
-        raise OutputError(f"{drive}: cannot be written: {e.strerror or e}", hint) from None
     return stale
 
 
