@@ -11,6 +11,7 @@ import textwrap
 import types
 import typing
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -107,13 +108,7 @@ def assignments(values: Mapping[str, Any]) -> tuple[str, ...]:
 
 def assigned_values(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
     """Return the values of the settings that the assignments name, by key."""
-    found: dict[tuple[str, ...], Any] = {}
-    for assignment in assignments:
-        key, value = tuple(key_of(assignment).split(".")), settings
-        for name in key:
-            value = getattr(value, name)
-        found[key] = value
-    return found
+    return {tuple(key.split(".")): attrgetter(key)(settings) for key in map(key_of, assignments)}
 
 
 def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
