@@ -42,28 +42,39 @@ def test_the_client_says_what_is_wrong(path):
             client.ask("set", assignments=[70000 * "x"])
 
 
+@pytest.fixture
+def stranger(path):
+    """A client of a program that is no daemon, by what that answers to the first request."""
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+    threads = []
+
+    def connect(said):
+        def serve():
+            with listener.accept()[0] as connection, contextlib.suppress(OSError):
+                connection.recv(1000)
+                connection.sendall(said)
+
+        threads.append(threading.Thread(target=serve))
+        threads[0].start()
+        return Client(path)
+
+    with listener:
+        yield connect
+        threads[0].join()
+
+
 @pytest.mark.parametrize("sample", ["[" * 600 + "]" * 600, "NaN", "1e999", '"\\ud800 "', "[1"])
-def test_a_sample_of_a_program_that_is_no_daemon_is_refused(path, sample):
+def test_a_sample_of_a_program_that_is_no_daemon_is_refused(stranger, sample):
     """Other code reads samples than other messages."""
-
-    def serve():
-        with server.accept()[0] as connection:
-            connection.recv(1000)
-            connection.sendall(b'{"ok": true}\n{"event":"sample","sample":' + sample.encode() + b"}\n")
-
-    with socket.socket(socket.AF_UNIX) as server:
-        server.bind(str(path))
-        server.listen()
-        thread = threading.Thread(target=serve)
-        thread.start()
-        with Client(path) as client:
-            events = client.events(1.0, samples=True)
-            if "ud800" in sample:  # a name with half a surrogate pair
-                assert next(events)["sample"] == "\ud800 "
-            else:
-                with pytest.raises(NoDaemonError, match="no daemon of spheremouse"):
-                    next(events)
-        thread.join()
+    with stranger(b'{"ok": true}\n{"event":"sample","sample":' + sample.encode() + b"}\n") as client:
+        events = client.events(1.0, samples=True)
+        if "ud800" in sample:  # a name with half a surrogate pair
+            assert next(events)["sample"] == "\ud800 "
+        else:
+            with pytest.raises(NoDaemonError, match="no daemon of spheremouse"):
+                next(events)
 
 
 def test_a_file_whose_name_is_no_text_is_in_a_status(path):
@@ -142,22 +153,10 @@ print(*sorted({"scipy", "cv2", "numpy"} & set(sys.modules)))"""
         (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "is no daemon of spheremouse"),
     ],
 )
-def test_the_client_believes_no_stranger(path, said, message):
+def test_the_client_believes_no_stranger(stranger, said, message):
     """Whatever answers at the path: an error in words, and nothing that steers the terminal."""
-    listener = socket.socket(socket.AF_UNIX)
-    listener.bind(str(path))
-    listener.listen()
-
-    def stranger():
-        with contextlib.closing(listener.accept()[0]) as s, contextlib.suppress(OSError):
-            s.recv(100)
-            s.sendall(said)
-
-    thread = threading.Thread(target=stranger)
-    thread.start()
-    with listener, pytest.raises(ControlError, match=message):
-        Client(path).status()
-    thread.join()
+    with pytest.raises(ControlError, match=message):
+        stranger(said).status()
 
 
 @pytest.mark.parametrize(
