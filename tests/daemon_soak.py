@@ -224,7 +224,7 @@ class Cabinet(World):
 
     def tracked_frame(self, made: Any, report: Any, _: Any) -> None:
         assert self.daemon is not None
-        estimate, counts, state = made.epoch.estimate, report.counts, self.daemon._monitor.state
+        estimate, counts, state = made.epoch.estimate, report.counts, self.daemon.parts.monitor.state
         self.tracked += 1
         self.given += counts
         self._state_of[estimate.stamp] = str(state)
@@ -434,7 +434,7 @@ def soak(days: float, seed: int) -> list[str]:
     )
     print(
         f"  tracked {cabinet.tracked}, damaged {cabinet.damaged}, lost by the driver {cabinet.lost}, "
-        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {daemon.unsent}"
+        f"skipped {daemon.parts.ring.skipped}; {cabinet.reports} reports, unsent {daemon.unsent}"
     )
     print(
         f"  {cabinet.spells_judged} ordinary spells; counts wrong by {max(cabinet.worst, 0.0):.2f} at most, beyond 1 %"
@@ -472,17 +472,17 @@ _mallinfo2.restype = _Mallinfo2
 
 
 def _ledger(cabinet: Cabinet, daemon: Any) -> None:
-    report: ReporterStatus = daemon._outputs.status()[0][1]
+    report: ReporterStatus = daemon.parts.outputs.status()[0][1]
     laws = {
         "sent + unsent - ahead": (
             (cabinet.total + report.unsent + left_over(daemon) - report.ahead).tolist(),
             cabinet.given.tolist(),
         ),
         "reports": (report.reports, cabinet.reports),
-        "looked at + skipped": (daemon._worker.seen + daemon._ring.skipped, cabinet.produced),
-        "tracked": (daemon._worker.frames, cabinet.tracked),
-        "damaged": (daemon._worker.damaged, cabinet.damaged),
-        "lost by the driver": (daemon._captures.dropped, cabinet.lost),
+        "looked at + skipped": (daemon.parts.worker.seen + daemon.parts.ring.skipped, cabinet.produced),
+        "tracked": (daemon.parts.worker.frames, cabinet.tracked),
+        "damaged": (daemon.parts.worker.damaged, cabinet.damaged),
+        "lost by the driver": (daemon.parts.captures.dropped, cabinet.lost),
     }
     for name, (there, here) in laws.items():
         if there != here:

@@ -350,7 +350,7 @@ class World:
         given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
         assert np.array_equal(self.counts + report.unsent + left_over(self.daemon) - report.ahead, given)
         assert report.reports == sum(any(m.counts) for m in self.sent)
-        taken = self.daemon._worker.seen
+        taken = self.daemon.parts.worker.seen
         assert taken + (status.skipped or 0) == self.produced + (self.second.produced if self.second else 0)
         assert status.frames == len(self.frames)  # also across another rig, which has another worker
 
@@ -383,7 +383,7 @@ class Sink(Output):
 
 def left_over(daemon: Daemon) -> Array:
     """(3,) counts still in the reporter's queue when it was closed."""
-    return np.array(daemon._outputs.main.thread.queued)
+    return np.array(daemon.parts.outputs.main.thread.queued)
 
 
 def matrix(rig: Rig) -> Array:

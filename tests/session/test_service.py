@@ -39,6 +39,8 @@ from spheremouse.session import config_reloader as loader_module
 from spheremouse.session import service as run_module
 from spheremouse.session import timing
 from spheremouse.session.control.client import Client
+from spheremouse.session.control.request_queue import RequestQueue
+from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
 from spheremouse.session.process.threads import as_future
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -389,7 +391,7 @@ def test_another_rig_is_taken_up_or_refused(world):
 def test_a_request_is_handled_directly_after_a_frame_so_that_none_waits_for_it(world, monkeypatch):
     """At whatever moment it comes."""
     done, gaps, rng = [time.monotonic()], [], np.random.default_rng(2)
-    change, show = loader_module.ConfigReloader.set, run_module.PictureFeed.show
+    change, show = loader_module.ConfigReloader.set, PictureFeed.show
 
     def changed(*arguments):
         gaps.append(time.monotonic() - done[-1])
@@ -400,7 +402,7 @@ def test_a_request_is_handled_directly_after_a_frame_so_that_none_waits_for_it(w
         done.append(time.monotonic())
 
     monkeypatch.setattr(loader_module.ConfigReloader, "set", changed)
-    monkeypatch.setattr(run_module.PictureFeed, "show", shown)
+    monkeypatch.setattr(PictureFeed, "show", shown)
     world.paced = True
     world.settle()
     for k in range(25):
@@ -544,7 +546,7 @@ def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(uns
 @pytest.mark.parametrize("command", ["record", "snapshot", "reinit"])
 def test_a_request_whose_client_disconnects_before_a_frame_leaves_nothing(world, monkeypatch, command):
     """The camera gives no frames meanwhile, so that no request can be completed."""
-    requests, answered, put = [], set(), run_module.RequestQueue.put
+    requests, answered, put = [], set(), RequestQueue.put
 
     def hear(queue, pending):
         send = pending.answer
@@ -552,7 +554,7 @@ def test_a_request_whose_client_disconnects_before_a_frame_leaves_nothing(world,
         requests.append(pending)
         put(queue, pending)
 
-    monkeypatch.setattr(run_module.RequestQueue, "put", hear)
+    monkeypatch.setattr(RequestQueue, "put", hear)
     threads = threading.active_count()
     world.silent = True
     world.until(lambda: _still(world), "no frame left")
@@ -697,7 +699,7 @@ def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(unstarte
     heard = []
     monkeypatch.setattr("sdnotify.SystemdNotifier.notify", lambda _, text: heard.append(text))
     monkeypatch.setenv("WATCHDOG_USEC", "40000")
-    monkeypatch.setattr(run_module, "MAX_FRAME_GAP_S", 0.3)
+    monkeypatch.setattr("spheremouse.session.live_run.MAX_FRAME_GAP_S", 0.3)
 
     def fed():
         heard.clear()
