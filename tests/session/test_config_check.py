@@ -71,6 +71,7 @@ def test_a_size_that_the_camera_was_not_calibrated_at_is_wrong(checked, calibrat
         ("map: maps/rig.map.yaml", "map: maps: no such folder; make it"),
         ("wand: {balls: [one.yaml]}", "wand.balls[0]: one.yaml: no such file"),
         ("record: {folder: rig.yaml}", "record.folder: rig.yaml: is no folder"),
+        ("map: rig.map.yaml\ntracker: ekf1", "map: tracker ekf1 keeps no map"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_line(checked, line, told):
@@ -100,12 +101,6 @@ def test_what_may_be_missing_only_now_is_a_warning(checked, tmp_path):
         "demo/none: does not exist in this folder",
         "/dev/ttyACM97 does not exist",
     ]
-
-
-def test_a_map_with_a_tracker_that_keeps_none_is_told(checked):
-    code, (said,) = checked("tracker: ekf1", "map: rig.map.yaml")
-    assert (code, said.partition(": ")[0]) == (2, "c.yaml:3")
-    assert "map: tracker ekf1 keeps no map" in said
 
 
 def test_a_map_of_another_ball_is_told(checked, tmp_path, monkeypatch):

@@ -152,8 +152,8 @@ def test_the_sums_of_counts_are_equal_over_all_outputs(tmp_path):
     assert [status.sent for _, status in outputs.status()] == [tuple(sent)] * 4
 
 
-def run_of(*specs):
-    outputs = Outputs(specs, EXACT, log=[].append, workers=WorkerPool((OUTPUT,), [].append), call=[].append)
+def run_of(*specs, log=lambda line: None, **options):
+    outputs = Outputs(specs, EXACT, log=log, workers=WorkerPool((OUTPUT,), log), call=[].append, **options)
     outputs.begin()
     return outputs
 
@@ -263,8 +263,7 @@ def test_an_output_that_hangs_delays_no_other(run):
 
 def test_the_log_names_an_output_once():
     logged = []
-    outputs = Outputs(["tcp:x", "null"], EXACT, log=logged.append, workers=WorkerPool((OUTPUT,), [].append), call=print)
-    outputs.begin()
+    outputs = run_of("tcp:x", "null", log=logged.append)
     until(lambda: logged)
     outputs.close()
     advice = "write for example tcp:127.0.0.1:9000; trying again until it works"
@@ -273,15 +272,8 @@ def test_the_log_names_an_output_once():
 
 def test_only_paced_outputs_request_real_time_scheduling(tmp_path):
     claimed = []
-    outputs = Outputs(
-        [f"text:{tmp_path / 'a'}", f"text:{tmp_path / 'b'},format=reports", "null"],
-        EXACT,
-        log=[].append,
-        workers=WorkerPool((OUTPUT,), [].append),
-        call=[].append,
-        claim=lambda: claimed.append(threading.get_native_id()),
-    )
-    outputs.begin()
+    specs = f"text:{tmp_path / 'a'}", f"text:{tmp_path / 'b'},format=reports", "null"
+    outputs = run_of(*specs, claim=lambda: claimed.append(threading.get_native_id()))
     outputs.submit(report(1, 0, 0), time.monotonic(), wanted=True)
     until(lambda: all(status.reports for _, status in outputs.status()))
     outputs.close()
