@@ -63,7 +63,6 @@ def validate(file: Path, c: Configuration) -> Found:
 
 
 def _files(file: Path, c: Configuration, found: Found) -> None:
-    """Check rig, camera, map, balls and recordings."""
     rigs = [_read_if_valid(("rig",), beside(file, name), load_rig, found) for name in c.rigs]
     rig = rigs[0] if rigs else None
     camera, size = _read_if_valid(("camera_file",), beside(file, c.camera_file), load_camera, found), c.camera.size
@@ -104,7 +103,6 @@ def _folder_there(key: Key, path: Path, found: Found) -> bool:
 
 
 def _probe(key: Key, probe: Callable[[str], list[Finding]], spec: str, found: Found) -> None:
-    """Report the findings about a source or an output."""
     try:
         findings = probe(spec)
     except SpheremouseError as e:

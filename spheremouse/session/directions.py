@@ -25,12 +25,8 @@ class Directions:
     min_rate: float  # in `unit`, below which the ball is at rest
 
     def motion(self, estimate: Estimate) -> MotionStatus:
-        """Return the rate of an estimate for the status."""
+        """Return the rate of an estimate for the status. Its words leave out parts below a tenth of the largest."""
         rate = self.factor * self.axes @ estimate.rate[self.part]
-        return MotionStatus(rate=rate.tolist(), unit=self.unit, words=self.in_words(rate))
-
-    def in_words(self, rate: Array) -> str:
-        """Return a rate (3,) of the unit `unit` in words; parts below a tenth of the largest are left out."""
         least = max(self.min_rate, _MIN_SHARE * float(np.max(np.abs(rate))))
         digits = 0 if self.min_rate >= 1.0 else 2
         parts = [
@@ -38,7 +34,7 @@ class Directions:
             for value, words in zip(rate.tolist(), self.words, strict=True)
             if abs(value) >= least
         ]
-        return ", ".join(parts) or "at rest"
+        return MotionStatus(rate=rate.tolist(), unit=self.unit, words=", ".join(parts) or "at rest")
 
 
 def of_ball(settings: MotionSettings) -> Directions:

@@ -234,7 +234,6 @@ class _CheckedFile:
             raise self._error
 
     def _try(self, action: Callable[[], object]) -> None:
-        """Carry out an action, unless one has failed."""
         if self._error is None:
             try:
                 action()
@@ -329,7 +328,6 @@ def _closed_line(points: Array, colour: str, stamp: Any) -> Any:
 
 
 def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
-    """Return a text annotation with the code of a mark."""
     m = _messages()
     return m.TextAnnotation(
         timestamp=stamp,

@@ -207,7 +207,6 @@ def _in_colours(weights: tuple[float, float, float]) -> str:
 
 
 def _why(lost: BallLost, words: Words) -> str:
-    """Return the cause of a loss of the ball, in words."""
     match lost.why:
         case Why.UNSEEN:
             seen = f"{lost.discs} {words.parts} in view, none where it should be"

@@ -23,7 +23,7 @@ class PictureFeed:
     def __init__(self, log: Callable[[str], None]) -> None:
         """`log` takes internal errors."""
         self._log = log
-        self._lock = threading.Lock()  # held for microseconds
+        self._lock = threading.RLock()  # held for microseconds
         self._interval, self._until = 0.0, 0.0  # s, between two pictures; s, end of the last lease
         self._ring: PictureRing | None = None
         self._due = 0.0  # s, of the next picture
@@ -68,12 +68,14 @@ class PictureFeed:
         """Free the memory if all leases have ended."""
         with self._lock:
             if now >= self._until:
-                self._close()
+                self.close()
 
     def close(self) -> None:
         """Free the memory."""
         with self._lock:
-            self._close()
+            if self._ring is not None:
+                self._ring.close()
+            self._ring = None
 
     def _write(self, picture: LivePicture) -> None:
         with self._lock:
@@ -81,8 +83,3 @@ class PictureFeed:
                 self._ring.close()
                 self._ring = PictureRing(len(picture.pixels) + _ANNOTATION_BYTES)
                 self._ring.write(picture)
-
-    def _close(self) -> None:
-        if self._ring is not None:
-            self._ring.close()
-        self._ring = None

@@ -115,7 +115,6 @@ def status_lines(result: FrameResult, tally: Tally) -> str:
 
 
 def _state_words(sample: Sample, counts: str) -> str:
-    """Return state, motion and counts of a sample as one line."""
     if sample.coordinates == "obj":
         rate, n = "rate {:+.1f} {:+.1f} {:+.1f} deg/s".format(*np.degrees(sample.rate)), sample.statistics
         points = f"points {n['discs_used']:.0f} used, {n['discs_seen']:.0f} seen, {n['discs_known']:.0f} known"

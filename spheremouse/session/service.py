@@ -156,7 +156,7 @@ class Daemon:
         finally:
             if replay is not None and waiting and not self.adapter.waiting:
                 replay.control(replay.controls, rewind=True)  # to the frames before the pose was known
-            worker.forget()
+            worker.untracked = None
             arrival.raw.release()
 
     def _publish(self, result: FrameResult, taken: float, *, shown: bool) -> None:

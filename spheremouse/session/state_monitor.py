@@ -109,7 +109,6 @@ class StateMonitor:
         return state is State.NO_CAMERA and before[0] is not state
 
     def _conditions(self, now: float) -> Conditions:
-        """Collect the facts from which the state is derived."""
         worker, captures, starting = self._worker, self._captures, self.starting
         if not starting and captures.attempts <= 1 and worker.seen == 0 and captures.opening:
             starting = captures.trouble

@@ -44,7 +44,7 @@ class Worker:
         """Track a raw frame; in `colour`, even if tracking needs none.
 
         Return None if it was not tracked: it is damaged, cannot be used, or came too early. The frame of the result,
-        and `untracked`, are valid until the raw frame is released. Call `forget` then.
+        and `untracked`, are valid until the raw frame is released. Clear `untracked` then.
         """
         raw, begun = arrival.raw, time.monotonic()
         self.seen += 1
@@ -77,10 +77,6 @@ class Worker:
             return made
         return None
 
-    def forget(self) -> None:
-        """Forget the frame before its buffer is released."""
-        self.untracked = None
-
     def update_stages(self) -> None:
         """Update the times of the stages."""
         self.stages = {
@@ -88,7 +84,6 @@ class Worker:
         }
 
     def _count(self, result: FrameResult, before: Status, waited: dict[str, float]) -> None:
-        """Count a frame, a loss of the ball, and the time of each stage."""
         self.frames += 1
         self.frames_of[result.frame.camera] += 1
         if self.adapter.status is Status.LOST and before is not Status.LOST:

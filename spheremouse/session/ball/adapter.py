@@ -364,7 +364,6 @@ class BallAdapter(TrackerAdapter):
             return None
 
     def _track(self, frame: Frame, camera: PosedCamera, tracker: Tracker) -> FrameResult:
-        """Return the result of a frame of a camera whose pose is known."""
         state = self.state
         if state is None:
             known = None if self._keeper is None else self._keeper.known

@@ -208,7 +208,6 @@ class MissingDiscs:
         return text, strip_digits(before) != strip_digits(self._problem)
 
     def _reset(self) -> None:
-        """Forget the loss of the ball and its diagnosis."""
         self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked
         self._diagnosed = -float("inf")  # s, stamp of the last frame with a diagnosis
         self._diagnosis = _Search[Absence](self._elsewhere)

@@ -154,7 +154,6 @@ class Client:
             raise NoDaemonError(problem, _RESTART) from None
 
     def _exchange(self, message: dict[str, Any], timeout: float) -> dict[str, Any]:
-        """Send a request and return the reply. Raise NoDaemonError or RefusedError."""
         line = json.dumps(message).encode() + b"\n"
         if len(line) > MAX_LINE:
             raise RefusedError(f"a request of {len(line)} bytes; at most {MAX_LINE} are allowed")
@@ -205,7 +204,6 @@ class Client:
         self._memory = None
 
     def _connect(self) -> socket.socket:
-        """Return the open connection, or make one. Raise an error with the remedy."""
         if self._socket is not None:
             return self._socket
         if not hasattr(socket, "AF_UNIX"):

@@ -180,7 +180,6 @@ class _Order:
 
 
 def _slot_at(number: int, slots: int, slot_bytes: int) -> int:
-    """Return the offset of a picture's slot."""
     return _HEADER_BYTES + number % slots * (_SLOT_HEADER_BYTES + slot_bytes)
 
 

@@ -141,7 +141,6 @@ class ControlServer:
             await asyncio.wait(busy, timeout=_MAX_LAST_REPLIES_S)
 
     def _publish(self, event: dict[str, Any]) -> None:
-        """Send an event to all clients that watch."""
         for client in self._clients.values():
             if client.watching is not None:
                 client.push(event)
@@ -184,7 +183,6 @@ class ControlServer:
             writer.close()
 
     async def _converse(self, client: Connection) -> None:
-        """Read requests and answer them, one by one."""
         while not self._ending.is_set():
             line = await client.line()
             if line is None:  # it only listens from here on
@@ -209,7 +207,6 @@ class ControlServer:
             client.busy = False
 
     async def _pace(self) -> None:
-        """Wait until the next request may begin."""
         due = max(self._next, self._loop.time())
         self._next = due + self._limits.interval
         await asyncio.sleep(due - self._loop.time())

@@ -132,7 +132,6 @@ _LETTER_HEIGHT_PX = 22.0  # px high at font scale 1
 
 
 def _dull(colour: Colour, weight: float) -> Colour:
-    """Return a colour that is mixed with grey."""
     b, g, r = (round(weight * c + (1.0 - weight) * 110) for c in colour)
     return b, g, r
 

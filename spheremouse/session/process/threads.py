@@ -85,7 +85,6 @@ class WorkerPool:
                 thread.join(max(0.0, end - time.monotonic()))
 
     def _run(self, kind: str) -> None:
-        """Do the works of one kind in their order, each with its follow-up."""
         while (work := self._queues[kind].get()) is not None:
             follow_up = self._run_and_log_error(work)
             del work  # else its pictures stay in memory until the next one comes
@@ -96,7 +95,6 @@ class WorkerPool:
                 del follow_up
 
     def _run_and_log_error(self, work: Work) -> Callable[[], None] | None:
-        """Do the work and return its follow-up. Log an exception as an internal error."""
         try:
             return work()
         except Exception:

@@ -111,13 +111,24 @@ def test_another_setting_of_the_filter_keeps_the_picture_and_another_detector_be
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("tune",), "tune searches settings of discs, and this ball is followed by its pattern"),
-        (("evaluate", "--tracker", "ekf2"), "the tracker ekf2 follows discs, and this ball has none"),
-        (("evaluate", "--tracker", "ekf2", "--detector", "texture"), "texture needs the tracker so3"),
+        (("tune", "FILM"), "tune searches settings of discs, and this ball is followed by its pattern"),
+        (("evaluate", "FILM", "--tracker", "ekf2"), "the tracker ekf2 follows discs, and this ball has none"),
+        (("evaluate", "FILM", "--tracker", "ekf2", "--detector", "texture"), "texture needs the tracker so3"),
+        (
+            ("calibrate", "rolling", "--source", "dataset:FILM", "--out", "FILM/r.yaml"),
+            "has no discs, and their paths are measured; give --disc-radius",
+        ),
+        (
+            ("evaluate", "FILM", "--map", "FILM/../discs.yaml"),
+            "is a map of discs, and the tracker follows a pattern: name this device's map",
+        ),
     ],
 )
 def test_commands_refuse_what_needs_discs_in_one_line(recording, words, says):
-    code, output = invoke(app, words[0], recording, *words[1:])
+    discs = DiscMap(directions(9, 1), 1e-6 * np.eye(18), np.full(9, 50, dtype=np.intp))
+    rig = replace(open_dataset(recording).rig, disc_radius=0.02)
+    save_map(recording.parent / "discs.yaml", saved_now(discs, rig))
+    code, output = invoke(app, *(word.replace("FILM", str(recording)) for word in words))
     assert code != 0
     assert says in " ".join(output.split())
 
@@ -138,20 +149,6 @@ def test_a_run_saves_its_picture_and_the_next_one_recognises_it(recording, tmp_p
     found = invoke(app, "evaluate", recording, "--map", file, "--json", tmp_path / "r.json")
     assert found[0] == 0
     assert json.loads((tmp_path / "r.json").read_text())["identified_from_frame"] < 3
-
-
-def test_the_map_of_another_kind_is_refused_in_one_line(recording, tmp_path):
-    discs = DiscMap(directions(9, 1), 1e-6 * np.eye(18), np.full(9, 50, dtype=np.intp))
-    save_map(tmp_path / "a.yaml", saved_now(discs, replace(open_dataset(recording).rig, disc_radius=0.02)))
-    code, output = invoke(app, "evaluate", recording, "--map", tmp_path / "a.yaml")
-    assert code != 0
-    assert "is a map of discs, and the tracker follows a pattern: name this device's map" in " ".join(output.split())
-
-
-def test_rolling_needs_discs_or_their_radius(recording, tmp_path):
-    code, output = invoke(app, "calibrate", "rolling", "--source", f"dataset:{recording}", "--out", tmp_path / "r.yaml")
-    assert code != 0
-    assert "has no discs, and their paths are measured; give --disc-radius" in " ".join(output.split())
 
 
 def test_the_report_names_the_detector_and_has_no_figures_of_discs(recording):
