@@ -38,11 +38,11 @@ def wait_for(what, condition, patience=PATIENCE):
     return found
 
 
-def start(*words):
+def start(*words, stderr=subprocess.DEVNULL):
     """Start a Python process."""
     paths = os.pathsep.join(map(str, (HERE.parent, HERE)))
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
-    return subprocess.Popen([sys.executable, *map(str, words)], env=environment, stderr=subprocess.DEVNULL)
+    return subprocess.Popen([sys.executable, *map(str, words)], env=environment, stderr=stderr)
 
 
 def end(process):

@@ -23,10 +23,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
+import daemon_process
 import numpy as np
 import pytest
 from control_world import conversations, page_reply
 from daemon_world import DT, Film, World, check_samples
+from view_world import start
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.commands.service.systemd import under_umask
@@ -753,45 +755,35 @@ def test_an_internal_error_in_a_request_is_answered_and_the_next_one_works(world
 
 
 class Process:
-    """`spheremouse run` on a film, in a process of its own; what it says."""
+    """`spheremouse run` on a film, in a process of its own."""
 
-    def __init__(self, folder, stderr=subprocess.PIPE, uid=""):
-        code = "import sys; sys.path.insert(0, sys.argv[1]); import daemon_process; daemon_process.main(*sys.argv[2:])"
-        here = str(Path(__file__).parents[1])
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(run_module.__file__).parents[2])}
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", code, here, str(folder), uid], stderr=stderr, text=True, env=environment
-        )
-        self.said, self.folder, self._client = [], folder, Client(folder / "s")
-        if stderr == subprocess.PIPE:
-            threading.Thread(target=self._read, daemon=True).start()
+    def __init__(self, folder, stderr=None, uid=""):
+        self.folder, self.ask, self._log = folder, Client(folder / "s").ask, folder / f"{time.monotonic_ns()}.log"
+        code = "import sys, daemon_process; daemon_process.main(*sys.argv[1:])"
+        with self._log.open("w") as log:
+            self.process = start("-c", code, folder, uid, stderr=log if stderr is None else stderr)
 
-    def _read(self):
-        for line in self.process.stderr:
-            self.said.append(line)
+    @property
+    def said(self):
+        return self._log.read_text()
 
-    def _until(self, condition, what):
+    def until(self, condition):
         end = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < end, f"{what}: {''.join(self.said)}"
-            assert self.process.poll() is None, f"ended: {''.join(self.said)}"
+            assert time.monotonic() < end, f"it never came to be: {self.said}"
+            assert self.process.poll() is None, f"ended: {self.said}"
             time.sleep(0.02)
 
-    def until(self, text):
-        self._until(lambda: any(text in line for line in list(self.said)), f"{text!r} was never said")
-
-    def ask(self, command, **arguments):
-        return self._client.ask(command, **arguments)
-
-    def tracks(self):
-        with contextlib.suppress(ControlError):
-            return self.ask("status")["state"] == "tracking"
-
     def until_tracking(self):
-        self._until(self.tracks, "it does not track")
+        def tracks():
+            with contextlib.suppress(ControlError):
+                return self.ask("status")["state"] == "tracking"
 
-    def until_frames(self, frames):
-        self._until(lambda: self.ask("status")["frames"] >= frames, "frames do not go on")
+        self.until(tracks)
+
+    def until_frames(self, more):
+        frames = self.ask("status")["frames"] + more
+        self.until(lambda: self.ask("status")["frames"] >= frames)
 
     def terminated(self):
         """It ends as it should, with the map saved."""
@@ -810,8 +802,6 @@ class Process:
 @pytest.fixture
 def prepared(film):
     """A folder that another user may enter, with the film and what a daemon needs."""
-    import daemon_process
-
     with tempfile.TemporaryDirectory() as folder:
         daemon_process.prepare(Path(folder), film)
         yield Path(folder)
@@ -822,18 +812,17 @@ def test_signals_a_second_instance_and_kill_9(prepared):
     """A file stands for the camera's node: SIGHUP reloads, a second daemon is refused, kill -9 leaves nothing stuck,
     SIGTERM ends it with the map saved."""
     with Process(prepared) as first:
-        first.until("tracking:")
+        first.until_tracking()
         first.process.send_signal(signal.SIGHUP)
         first.process.send_signal(signal.SIGHUP)
-        first.until("configuration applied: nothing has changed")
+        first.until(lambda: "configuration applied: nothing has changed" in first.said)
         second = Process(prepared)
         assert second.process.wait(PATIENCE) == 2
-        time.sleep(0.05)
-        assert f"in use by another spheremouse (process {first.process.pid})" in "".join(second.said)
+        assert f"in use by another spheremouse (process {first.process.pid})" in second.said
         assert first.ask("status")["pid"] == first.process.pid
     assert (prepared / "s").exists()  # stale, after kill -9: nobody could remove it
     with Process(prepared) as third:
-        third.until("tracking:")
+        third.until_tracking()
         assert third.ask("status")["pid"] == third.process.pid
         third.until_frames(100)  # enough to know some discs for good
         third.terminated()
@@ -872,7 +861,7 @@ def test_nothing_that_happens_to_standard_error_stops_tracking(prepared, broken)
         for _ in range(60):  # lines of 60 letters: more than the pipe takes
             daemon.ask("pause")
             daemon.ask("resume")
-        daemon.until_frames(daemon.ask("status")["frames"] + 50)
+        daemon.until_frames(50)
         daemon.terminated()
 
 
@@ -881,7 +870,7 @@ def test_nothing_that_happens_to_standard_error_stops_tracking(prepared, broken)
 def test_without_another_thread_to_be_had_only_what_needs_one_fails(prepared):
     """The task limit is the kernel's, reached when the daemon tracks: its own threads are there, and no other comes."""
     with Process(prepared, uid=str(OTHER)) as daemon:
-        daemon.until("tracking:")
+        daemon.until_tracking()
         assert Path(daemon.ask("snapshot")["file"]).exists()
         assert daemon.ask("record")["folder"]
         with pytest.raises(ControlError, match="refuses a new thread, as its limit of tasks"):
@@ -890,9 +879,10 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(prepared):
         assert daemon.ask("reload")["changed"] == []
         assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
         assert daemon.ask("reinit")["message"]
-        daemon.until_frames(daemon.ask("status")["frames"] + 100)
+        daemon.until_frames(100)
         daemon.terminated()
-        assert not [line for line in daemon.said if "Traceback" in line or "internal error" in line]
+        assert "Traceback" not in daemon.said
+        assert "internal error" not in daemon.said
 
 
 def test_a_client_gets_the_samples_that_a_text_output_writes(unstarted, tmp_path):
