@@ -88,6 +88,30 @@ class Film:
         return cls(colour, grey, np.array([m.attitude for m in made]), scene.rig())
 
 
+class RawPicture:
+    """A raw frame of a picture in colour and in grey, or an error. It notes how it was asked for."""
+
+    def __init__(
+        self,
+        colour: NDArray[np.uint8],
+        grey: NDArray[np.uint8],
+        stamp: float,
+        sequence: int,
+        error: Exception | None = None,
+    ) -> None:
+        self._images, self._error = (grey, colour), error
+        self.stamp, self.sequence, self.asked = stamp, sequence, list[bool]()
+
+    def frame(self, colour: bool) -> Frame:
+        self.asked.append(colour)
+        if self._error is not None:
+            raise self._error
+        return Frame(self._images[colour], self.stamp, self.sequence)
+
+    def release(self) -> None:
+        pass
+
+
 class RawFrame:
     def __init__(self, world: "World", stamp: float, sequence: int, place: int, fault: str) -> None:
         self.stamp, self.sequence, self.place = stamp, sequence, place

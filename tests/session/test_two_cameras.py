@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from daemon_world import DT, Film, World
+from daemon_world import DT, Film, RawPicture, World
 
 from spheremouse.ball.rig import in_axes
 from spheremouse.capture.newest import Arrival
@@ -19,7 +19,7 @@ from spheremouse.session.run_config import CommandLineOverrides, check_kinds, re
 from spheremouse.session.settings import Configuration
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.scene import default_scene
-from spheremouse.tracker import Frame, Status
+from spheremouse.tracker import Status
 
 ASIDE = exp(np.array([0.0, 0.5 * np.pi, 0.0]))  # R_first_obj of the camera at the side
 LENGTH = 16  # pictures
@@ -52,24 +52,14 @@ class Play:
         """The next frame, of a camera, of the ball at a place of its film."""
         self.k += camera == self.first
         film, stamp = self.films[camera], DT * self.k + 1e-3 * (camera != self.first) - late
-        raw = Raw(film.colour[place][part], film.grey[place][part], stamp, self.k)
+        pictures = (np.ascontiguousarray(images[place][part]) for images in (film.colour, film.grey))
+        raw = RawPicture(*pictures, stamp, self.k)
         return self.worker.work(Arrival(raw, time.monotonic(), camera))
 
     def error(self, made, place):
         """rad, of the attitude in the axes of the first camera."""
         R = self.films[0].attitude[place] @ self.films[0].attitude[0].T
         return float(np.linalg.norm(log(made.epoch.estimate.rotation @ R.T)))
-
-
-class Raw:
-    def __init__(self, colour, grey, stamp, sequence):
-        self._images, self.stamp, self.sequence = (grey, colour), stamp, sequence
-
-    def frame(self, colour):
-        return Frame(np.ascontiguousarray(self._images[colour]), self.stamp, self.sequence)
-
-    def release(self):
-        pass
 
 
 def test_a_camera_that_dies_and_returns_leaves_the_ball_tracked(films, rigs):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from daemon_world import DT, Film
+from daemon_world import DT, Film, RawPicture
 
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError
@@ -17,7 +17,7 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.scene import default_scene
-from spheremouse.tracker import Frame, Status
+from spheremouse.tracker import Status
 
 
 @pytest.fixture(scope="module")
@@ -28,39 +28,15 @@ def film():
 SETTINGS = replace(Configuration(), pose=replace(Configuration().pose, frames=2))
 
 
-class RawFrame:
-    """A picture, or an error; notes how it was asked for."""
-
-    def __init__(self, colour, grey, k, error=None, flags=True):
-        self._images, self._error, self._flags = (grey, colour), error, flags
-        self.stamp, self.sequence, self.asked = k * DT, k, []
-
-    def frame(self, colour):
-        self.asked.append(colour)
-        if self._error is not None:
-            raise self._error
-        image = self._images[colour]
-        if not self._flags:
-            image = image.view()
-            image.flags.writeable = False
-        return Frame(image, self.stamp, self.sequence)
-
-    def release(self):
-        pass
-
-
 class Play:
-    def __init__(self, film, rig=None, settings=SETTINGS, do=here):
+    def __init__(self, film, do=here):
         self.said, self.k, self.film = [], 0, film
-        self.adapter = BallAdapter((film.rig if rig is None else rig,), settings, None, self.said.append, do)
+        self.adapter = BallAdapter((film.rig,), SETTINGS, None, self.said.append, do)
         self.worker = Worker(self.adapter, self.said.append)
 
-    def raw_frame(self, place, **kwargs):
+    def __call__(self, place=0, error=None):
         self.k += 1
-        return RawFrame(self.film.colour[place], self.film.grey[place], self.k, **kwargs)
-
-    def __call__(self, place=0, **kwargs):
-        raw = self.raw_frame(place, **kwargs)
+        raw = RawPicture(self.film.colour[place], self.film.grey[place], self.k * DT, self.k, error)
         made = self.worker.work(Arrival(raw, time.monotonic() - 0.5))
         self.asked = raw.asked
         return made
@@ -88,10 +64,13 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
 
 def test_frames_of_read_only_memory_are_tracked_the_same(film):
     """A driver's buffer may not be written."""
+    locked = replace(film, colour=[image.view() for image in film.colour], grey=[image.view() for image in film.grey])
+    for image in locked.colour + locked.grey:
+        image.flags.writeable = False
     counts = []
-    for flags in (True, False):
-        play = Play(film)
-        made = [play(k, flags=flags) for k in (0, 0, *range(24))]
+    for each in (film, locked):
+        play = Play(each)
+        made = [play(k) for k in (0, 0, *range(24))]
         estimates = [m.samples[0].estimate for m in made if m is not None]
         counts.append([play.adapter.mapping.counts(e)[0] for e in estimates])
     assert counts[0] == counts[1]
@@ -112,7 +91,7 @@ def test_a_frame_that_is_none_changes_nothing(film):
     assert play.adapter.state is state
     assert play() is not None
     assert play.worker.trouble == ""
-    small = RawFrame(film.colour[0][:10], film.grey[0][:10], 9)
+    small = RawPicture(film.colour[0][:10], film.grey[0][:10], 9 * DT, 9)
     assert play.worker.work(Arrival(small, 0.0)) is None
     assert "calibrated at 640x480" in play.worker.trouble
 
@@ -148,7 +127,7 @@ def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):
 def test_grey_frames_cannot_show_the_targets(film):
     play = Play(film)
     for k in range(2):
-        play.worker.work(Arrival(RawFrame(film.grey[0], film.grey[0], k), 0.0))
+        play.worker.work(Arrival(RawPicture(film.grey[0], film.grey[0], k * DT, k), 0.0))
     assert "grey" in play.adapter.waiting
 
 
