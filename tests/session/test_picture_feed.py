@@ -12,12 +12,15 @@ from reporting import until
 
 from spheremouse.ball.build import build
 from spheremouse.capture import Payload
+from spheremouse.capture.replay import Controls
 from spheremouse.errors import ControlError, DamagedFrameError, SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
+from spheremouse.session.command_handler import CommandHandler
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.pictures import PictureReader
-from spheremouse.session.control.protocol import LEASE
+from spheremouse.session.control.protocol import LEASE, Replay
+from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.offline import track
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -128,70 +131,46 @@ def test_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
 
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
-ON_CLIP = (f"source=dataset:{CLIP}", "output=null")
-PATIENCE = 60.0  # s
 
 
-class Run:
-    def __init__(self, folder):
-        settings = ("realtime=off", f"control.socket={folder / 's'}", *ON_CLIP)
-        overrides = CommandLineOverrides(None, settings, no_map=True)
-        plan = read_run_config(overrides)
-        setup = open_replay(plan)
-        self.results = []
-        self.daemon = Daemon(overrides, plan, setup, lambda _: setup.open_replay, log=lambda _: None, show=self._show)
-        self.client = Client(folder / "s")
-        self._stop = SimpleNamespace(asked=False)
-        self._thread = threading.Thread(target=self.daemon.run, args=(self._stop,))
-        self._thread.start()
+def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_path):
+    settings = ("realtime=off", f"control.socket={tmp_path / 's'}", f"source=dataset:{CLIP}", "output=null")
+    overrides = CommandLineOverrides(None, settings, no_map=True)
+    plan, results, stop = read_run_config(overrides), [], SimpleNamespace(asked=False)
+    setup = open_replay(plan)
 
-    def _show(self, made, _, __):
+    def show(made, _, __):
         estimate = made.epoch.estimate
-        self.results.append((made.frame.sequence, estimate.rotation, estimate.rate, estimate.increment))
+        results.append((made.frame.sequence, estimate.rotation, estimate.rate, estimate.increment))
 
-    def ask(self, command, **arguments):
-        return self.client.ask(command, **arguments)
-
-    def close(self):
-        self.client.close()
-        self._stop.asked = True
-        self._thread.join(PATIENCE)
-        assert not self._thread.is_alive()
-
-
-@pytest.fixture
-def run(tmp_path):
-    run = Run(tmp_path)
+    daemon = Daemon(overrides, plan, setup, lambda _: setup.open_replay, log=lambda _: None, show=show)
+    thread = threading.Thread(target=daemon.run, args=(stop,))
+    thread.start()
     try:
-        until(lambda: run.results)
-        yield run
+        until(lambda: results)
+        with Client(tmp_path / "s") as client:
+            client.ask("replay", speed=20.0)
+            assert client.ask("status")["source"]["replay"]["speed"] == 20.0
+        until(lambda: [r[0] for r in results].count(0) > 3)
     finally:
-        run.close()
-
-
-def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(run):
-    run.ask("replay", speed=20.0)
-    until(lambda: [r[0] for r in run.results].count(0) > 3)
-    starts = [k for k, result in enumerate(run.results) if result[0] == 0]
-    passes = [run.results[a:b] for a, b in pairwise(starts)][-2:]
+        stop.asked = True
+        thread.join()
+    starts = [k for k, result in enumerate(results) if result[0] == 0]
     recording = open_dataset(CLIP)
-    assert run.daemon.adapter.pose is not None
-    tracker = build(recording.rig, run.daemon.adapter.pose, read_run_config(
-        CommandLineOverrides(None, ON_CLIP)).configuration)  # fmt: skip
+    tracker = build(recording.rig, daemon.adapter.pose, plan.configuration)
     expected = [(e.frame.sequence, e.estimate.rotation, e.estimate.rate, e.estimate.increment)
                 for e in track(read_frames(recording), tracker)]  # fmt: skip
-    for results in passes:
-        assert len(results) == len(expected) == recording.frames
-        for found, true in zip(results, expected, strict=True):
-            assert all(np.array_equal(a, b) for a, b in zip(found, true, strict=True))
+    for a, b in [*pairwise(starts)][-2:]:
+        assert b - a == len(expected) == recording.frames
+        for found, true in zip(results[a:b], expected, strict=True):
+            assert all(np.array_equal(x, y) for x, y in zip(found, true, strict=True))
 
 
-def test_nonsense_is_refused_in_words_and_changes_nothing(run):
-    for wrong in ({"speed": 0.0}, {"begin": -1.0}, {"end": "late"}, {"step": 1}, {"end": 1.0, "begin": 1.0}):
-        with pytest.raises(ControlError, match=f"replay: {next(iter(wrong))}: "):
-            run.ask("replay", **wrong)
-    controls = run.ask("status")["source"]["replay"]
-    assert (controls["begin"], controls["end"], controls["speed"]) == (0.0, None, 1.0)
+def test_a_replay_whose_end_is_not_above_its_begin_is_refused():
+    run = SimpleNamespace(setup=SimpleNamespace(replay=SimpleNamespace(controls=Controls())))
+    request = Replay(command="replay", begin=1.0, end=1.0)
+    with pytest.raises(ControlError, match="replay: end: must be above begin, 1 s"):
+        CommandHandler(run).handle(PendingRequest(request))
 
 
 def test_a_camera_is_no_recording():
