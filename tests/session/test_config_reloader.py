@@ -69,6 +69,20 @@ def test_a_file_written_after_it_was_read_is_a_change_also_while_it_is_applied(f
     assert not reloader.outdated
 
 
+def test_a_broken_file_is_refused_once_with_its_line_and_changes_nothing(file):
+    said, good = [], file.read_text()
+    reloader = reloader_of(file, log=said.append)
+    plan = reloader.plan
+    file.write_text(good + "motion:\n  scale_x: many\n")
+    error = reply_to(reloader.reload)["error"]
+    assert f"config.yaml:{good.count(chr(10)) + 2}: motion.scale_x" in error
+    assert said == [f"configuration not applied: {error}"]
+    assert not reloader.outdated  # or it would be read once a second
+    assert reloader.plan is plan
+    file.write_text(good)
+    assert reply_to(reloader.reload)["message"] == "configuration applied: nothing has changed"
+
+
 def test_a_client_that_reloads_without_end_leaves_the_interpreter_to_the_tracker(file):
     reloader, begun = reloader_of(file), time.monotonic()
     for _ in range(3):

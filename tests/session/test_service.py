@@ -304,22 +304,8 @@ def test_an_output_that_fails_is_opened_again_and_what_it_missed_is_counted(worl
 # ---- the configuration ----
 
 
-def test_a_change_on_disk_is_picked_up_and_a_broken_file_is_refused_with_its_line(world):
-    good = world.config.read_text()
-    world.config.write_text(good + "motion:\n  scale_x: many\n")
-    text = refused(world, "reload")
-    line = good.count("\n") + 2
-    assert f"config.yaml:{line}" in text
-    assert "scale_x" in text
-    world.until(lambda: said(world, "configuration not applied"))
-    time.sleep(0.3)
-    assert len(said(world, "configuration not applied")) <= 2  # not once a second
-    before = world.counts
-    world.turn(20)
-    assert np.abs(world.counts - before).max() > 20
-    world.config.write_text(good)
-    world.until(lambda: ask(world, "reload")["message"].endswith("nothing has changed"))
-    world.config.write_text(good + "motion: {scale_x: 2}\n")
+def test_a_change_on_disk_is_picked_up(world):
+    world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
     world.until(lambda: said(world, "configuration applied: motion"))
     follows(world, (2, 1, 1))
 

@@ -397,6 +397,14 @@ def test_it_ends_at_its_size(tmp_path):
 # ---- whole or not at all ----
 
 
+def test_whole_pictures_of_a_ball_in_a_hand_have_to_be_asked_for(tmp_path):
+    """They show the person who holds it."""
+    subject = replace(ball_subject(*small(), Configuration()), parts="")
+    with pytest.raises(DatasetError, match=r"with the person in them.*--everything"):
+        Recorder(tmp_path / "made", subject, PLENTY)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_frame_is_no_recording(tmp_path):
     recorder = begin(tmp_path / "made")
     with pytest.raises(DatasetError, match="no frame"):
