@@ -142,7 +142,7 @@ def test_a_wand_has_the_transforms_of_its_balls_in_cam(tmp_path):
     from spheremouse.simulate.to_dataset import write_wand
     from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 
-    film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=0.4, size=(640, 480)))
+    film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=0.2, size=(640, 480)))
     list(write_wand(tmp_path / "film", film))
     succeed(app, "export", tmp_path / "film", tmp_path / "wand.mcap")
     found, samples = read(tmp_path / "wand.mcap"), list(sm.track(sm.open_dataset(tmp_path / "film")))

@@ -149,7 +149,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
     try:
         until(lambda: results)
         with Client(tmp_path / "s") as client:
-            client.ask("replay", speed=20.0)
+            client.ask("replay", speed=20.0, rewind=True)
             assert client.ask("status")["source"]["replay"]["speed"] == 20.0
         until(lambda: [r[0] for r in results].count(0) > 3)
     finally:

@@ -127,8 +127,8 @@ def test_nothing_is_sent_for_the_time_asleep(world, monkeypatch):
     world.turn()
     world.settle()
     near(world)
-    before, places = world.counts, [15, 47, 30, 0] * 5
-    for place in places:
+    before = world.counts
+    for place in [15, 47, 30, 0] * 2:
         world.hang = threading.Event()
         time.sleep(0.05)
         world.place, asleep[0] = place, asleep[0] + 3600.0
@@ -502,19 +502,20 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(world, mo
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(unstarted):
+def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(unstarted, monkeypatch):
     """Whether a frame is tracked or not; then the memory is given back."""
+    monkeypatch.setattr("spheremouse.session.picture_feed.LEASE", 0.3)
     world = unstarted
     world.start()
-    for fault, status in (("hidden", "searching"), ("", "tracking")):
+    for fault, state, status in (("hidden", "searching-targets", "searching"), ("", "tracking", "tracking")):
         world.fault = fault
-        world.reach({"searching": "searching-targets"}.get(status, status))
+        world.reach(state)
         with Client(world.socket) as client:
-            reader = client.pictures(0.05)
-            last = reader.latest()
+            last = client.pictures(0.05).latest()
             world.settle()
-            world.until(lambda reader=reader, last=last: reader.latest(last.number if last else 0), "pictures")
-            picture = reader.latest()
+            number = last.number if last else 0
+            world.until(lambda client=client, n=number: client.pictures(0.05).latest(n), "pictures")
+            picture = client.pictures(0.05).latest()
             assert "spheremouse-pictures" in Path("/proc/self/maps").read_text()
         place = world.shown[picture.stamp]
         assert picture.pixels == world.film.grey[place].tobytes()
@@ -523,7 +524,6 @@ def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(uns
         assert (len(picture.annotations["outline"]) > 50) == (status == "tracking")
     assert [len(picture.annotations[key]) for key in ("targets", "strangers")] == [4, 0]
     assert sum(disc["used"] for disc in picture.annotations["detected"]) >= 3
-    del reader
     world.until(lambda: "spheremouse-pictures" not in Path("/proc/self/maps").read_text(), "the memory is given back")
 
 

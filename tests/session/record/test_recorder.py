@@ -298,19 +298,19 @@ def test_nobody_beside_the_ball_reaches_the_disk(recording):
 
 
 def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
-    *device, frames = film()
+    device = small(160, 120)
     before, moved = ball_subject(*device, Configuration()), moved_subject(*device)
     recorder = begin(tmp_path / "made", PLENTY, device)
-    white = np.full_like(frames[0].image, 255)
-    for i in range(90):  # more than there are buffers
+    white = np.full((120, 160, 3), 255, np.uint8)
+    for i in range(140):  # twice as many as there are buffers
         until(lambda: recorder.waiting < 3)
         image = white if i % 7 else white[..., 0].copy()
-        assert recorder.add(Frame(image, float(i), i), before if i < 45 else moved)
+        assert recorder.add(Frame(image, float(i), i), before if i < 70 else moved)
     a, b = (s.kept() > 0 for s in (before, moved))
     assert np.any(a & ~b)
     for i, frame in enumerate(read_frames(open_dataset(recorder.finish()[0]))):
         shown = frame.image if frame.image.ndim == 2 else frame.image.min(axis=2)
-        assert np.array_equal(shown > 0, a if i < 45 else a | b if i == 45 else b), i
+        assert np.array_equal(shown > 0, a if i < 70 else a | b if i == 70 else b), i
 
 
 @pytest.mark.parametrize("settings", [PLENTY, EVERYTHING], ids=["masked", "everything"])
