@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from reporting import until
+from reporting import PATIENCE, until
 
 from spheremouse.ball.build import build
 from spheremouse.capture import Payload
@@ -154,7 +154,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
         until(lambda: [r[0] for r in results].count(0) > 3)
     finally:
         stop.asked = True
-        thread.join()
+        thread.join(PATIENCE)
     starts = [k for k, result in enumerate(results) if result[0] == 0]
     recording = open_dataset(CLIP)
     tracker = build(recording.rig, daemon.adapter.pose, plan.configuration)

@@ -126,12 +126,12 @@ def recording(tmp_path_factory):
     """(number of frames, kind of pictures, settings) -> the frames, what tracking said, and the folder."""
 
     @cache
-    def make(count=None, kind="grey, targets in colour", settings=PLENTY):
+    def make(count, kind, settings):
         *device, frames = film()
         live = as_live(frames[:count], KINDS[kind])
         return live, *record(tmp_path_factory.mktemp("recording") / "made", live, *device, settings)
 
-    return make
+    return lambda count=None, kind="grey, targets in colour", settings=PLENTY: make(count, kind, settings)
 
 
 def small(width=64, height=48):
