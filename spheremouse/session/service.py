@@ -6,13 +6,14 @@ It takes the newest frame, tracks it, and handles requests between two frames. I
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from spheremouse.capture import OpenCamera
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.signals import SignalHandler, on_hang_up
 from spheremouse.output import Counts, Report, report_of
 from spheremouse.output.pointer import minus
-from spheremouse.session.command_handler import CommandHandler
+from spheremouse.session import command_handler
 from spheremouse.session.control.protocol import Request
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.status import State, StatusReport
@@ -53,7 +54,7 @@ class Daemon:
         """
         self.parts = LiveRun(overrides, plan, setup, camera, log)
         self.finished = False  # the end of a recording has ended the run
-        self._handler, self._show, self._limit = CommandHandler(self.parts), show, frames
+        self._show, self._limit = show, frames
         self._checked_at = self._reopened_at = time.monotonic()
         self._sleep = SleepMonitor()
 
@@ -62,7 +63,7 @@ class Daemon:
         parts = self.parts
         try:
             with on_hang_up(self._reload):  # as other services do
-                parts.begin(self._handler.receive, self.status)
+                parts.begin(partial(command_handler.receive, parts), self.status)
                 self._loop(stopping, parts.start())
         finally:
             parts.notifier.stopping()
@@ -120,7 +121,7 @@ class Daemon:
             parts.update_state(now)
             frame_overdue = not arrivals.on_time(now)
             if arrival is not None or finished or frame_overdue or arrivals.time_left(now) > _REQUEST_TIME_S:
-                parts.requests.run(self._handler.handle)
+                parts.requests.run(partial(command_handler.handle, parts))
             if arrival is None and finished:
                 if captures.failure is not None:
                     raise captures.failure

@@ -16,7 +16,7 @@ from spheremouse.capture.replay import Controls
 from spheremouse.errors import ControlError, DamagedFrameError, SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.session.command_handler import CommandHandler
+from spheremouse.session.command_handler import handle
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.pictures import PictureReader
 from spheremouse.session.control.protocol import LEASE, Replay
@@ -170,7 +170,7 @@ def test_a_replay_whose_end_is_not_above_its_begin_is_refused():
     run = SimpleNamespace(setup=SimpleNamespace(replay=SimpleNamespace(controls=Controls())))
     request = Replay(command="replay", begin=1.0, end=1.0)
     with pytest.raises(ControlError, match="replay: end: must be above begin, 1 s"):
-        CommandHandler(run).handle(PendingRequest(request))
+        handle(run, PendingRequest(request))
 
 
 def test_a_camera_is_no_recording():
