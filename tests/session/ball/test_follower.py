@@ -59,31 +59,21 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"covered": (0.0, 9.0), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
-        ({"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
+        ({"covered": (0.0, 2.45), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
+        ({"covered": (0.0, 2.45)}, "nothing on it stands out; uncover the ball"),
         ({"disc": 1.8}, "correct disc_radius in the rig"),
     ],
 )
-def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(change, told):
-    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=2.5, fps=10.0), **change)
-    after = [k for k, t in enumerate(seen.stamps) if t - seen.stamps[0] >= 2.0]
-    for k in after:
-        assert seen.reasons[k].startswith("no disc found on the ball for ")
-        assert told in seen.reasons[k]
+def test_a_ball_without_discs_states_why_within_two_seconds_until_they_are_seen_and_the_log_has_it_once(change, told):
+    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=2.9, fps=10.0), **change)
+    for stamp, reason in zip(seen.stamps, seen.reasons, strict=True):
+        if stamp - seen.stamps[0] >= 2.0 and stamp < 2.45:
+            assert reason.startswith("no disc found on the ball for ")
+            assert told in reason
+    assert (told in seen.reasons[-1]) is ("covered" not in change)
     lines = [line for _, line in seen.news if "on the ball for" in line]
     assert len(lines) == 1
     assert told in lines[0]
-
-
-@pytest.mark.slow
-def test_a_lens_cap_put_on_in_play_is_told_within_two_seconds_and_forgotten_when_the_ball_is_seen_again():
-    seen, _ = watched(
-        SimulationOptions(seed=3, motion="play", noise=2.0, seconds=4.5, fps=15.0), covered=(1.0, 3.5), level=2
-    )
-    black = [t for t, reason in zip(seen.stamps, seen.reasons, strict=True) if "nearly black" in reason]
-    assert black[0] <= 3.0
-    assert 3.4 <= black[-1] <= 3.6
-    assert [line for _, line in seen.news if "nearly black" in line][1:] == []
 
 
 def sent_at_a_hands_pace(seen, rig):
