@@ -111,7 +111,7 @@ class Daemon:
 
         That is after a frame, well before the next one, if it is late, or after the last.
         """
-        parts = self.parts
+        parts, handle = self.parts, partial(command_handler.handle, self.parts)
         captures, arrivals, now = parts.captures, parts.arrivals, time.monotonic()
         while not (stopping.asked or parts.ending):
             arrival = parts.ring.take(NEXT_FRAME_S if arrivals.on_time(now) else _MAX_FRAME_WAIT_S)
@@ -121,7 +121,7 @@ class Daemon:
             parts.update_state(now)
             frame_overdue = not arrivals.on_time(now)
             if arrival is not None or finished or frame_overdue or arrivals.time_left(now) > _REQUEST_TIME_S:
-                parts.requests.run(partial(command_handler.handle, parts))
+                parts.requests.run(handle)
             if arrival is None and finished:
                 if captures.failure is not None:
                     raise captures.failure
