@@ -27,7 +27,7 @@ from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.to_dataset import write_simulation
 from spheremouse.tracker import Status
 
-OPTIONS = SimulationOptions(pattern="speckle", motion="thesis", seconds=2.6, noise=3.0, size=(320, 240), seed=3)
+OPTIONS = SimulationOptions(pattern="speckle", motion="thesis", seconds=3.0, noise=3.0, size=(320, 240), seed=3)
 
 
 @cache
@@ -52,7 +52,7 @@ def test_a_ball_that_rests_and_one_that_is_dark_state_why():
     assert re.fullmatch(r"the ball is not followed for \d s: nothing has turned .*; turn it .*", still.reason)
     ball, lines = ball_mask(rig, pose) > 0, []
     for frame in frames:
-        dark.follow(replace(frame, image=np.where(ball[..., None] & (frame.stamp >= 1.0), np.uint8(3), frame.image)))
+        dark.follow(replace(frame, image=np.where(ball[..., None] & (frame.stamp >= 1.5), np.uint8(3), frame.image)))
         lines.append(dark.take_messages().change)
     log = "; ".join(filter(None, lines))
     assert re.search(r"tracking: \d+ parts of the pattern in view; .*the ball turns; what stands still is masked", log)
