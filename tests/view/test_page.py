@@ -235,6 +235,26 @@ def test_a_value_that_is_refused_is_refused_in_words_and_stays_to_be_corrected(p
 
 
 @pytest.mark.slow
+def test_a_value_on_its_way_survives_a_connection_that_begins_again(page):
+    sent = page.evaluate("""async () => {
+      const {Settings} = await import("/static/settings.js");
+      const sent = [], known = (keys) => keys.map((key) => ({key, value: 0, saved: 0}));
+      const settings = new Settings({request: async (kind, {values}) => {
+        await new Promise((done) => setTimeout(done, 20));
+        sent.push(values);
+      }});
+      for (const keys of [["a", "b"], ["a"]]) {  // the same tracker, and another
+        settings.load(known(["a", "b"]));
+        settings.change("a", 1);
+        settings.change("b", 2);
+        settings.load(known(keys));
+        await new Promise((done) => setTimeout(done, 100));
+      }
+      return sent;
+    }""")
+    assert sent == [{"a": 1}, {"b": 2}, {"a": 1}]
+
+
 def test_a_field_with_focus_is_not_overwritten(page, service):
     scale = field(page, "tune", "motion.scale_x")
     scale.focus()

@@ -33,14 +33,15 @@ export class Settings {
   }
 
   /**
-   * Take the settings of a tracker. Returns false if they are the known ones with other values.
+   * Take the settings of a tracker. Returns false if they are the known ones with other values; then values on their
+   * way to the daemon still go there.
    * @param {Setting[]} settings
    */
   load(settings) {
     const bare = (/** @type {Iterable<Setting>} */ all) => JSON.stringify([...all].map((s) => ({ ...s, value: 0, saved: 0 })));
     const rebuilt = bare(this.all.values()) !== bare(settings);
     this.all = new Map(settings.map((s) => [s.key, s]));
-    this.#queue = [];
+    if (rebuilt) this.#queue = [];
     this.refused.clear();
     this.#emit();
     return rebuilt;
