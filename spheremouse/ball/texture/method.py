@@ -5,17 +5,20 @@ part of it. So the ball is not tracked before something turns as the ball does. 
 what it took from pixels that stand still.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import AxisUnseen, Found, NewMap, PatternRepeats, Recognised, Turned
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.phases.bearing import interval
 from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.phases.method import at_new_pose
@@ -114,63 +117,113 @@ def detect_texture(
 ) -> tuple[Detections, TextureState]:
     """Return the anchors in view as detections, and the state of the detector."""
     detector: TextureDetector = tracker.detector_data
-    before, recognises = state.search, isinstance(state.phase, Recognising)
+    before, lost = state.search, _is_lost(state)
     if isinstance(before, PictureMap):
         before = state_from_map(detector, frame, before)
     if not isinstance(before, TextureState) or _begins(state, detector, before):
         now = _begin(detector, frame, predicted.attitude)
         found, anchors = _detections(detector.fine, now.alignment, tracker, predicted, np.zeros(3))
         return found, now._replace(shown=anchors)
-    off = image_shift(tracker, predicted.centre)
-    shown, light = detector.light(frame.image, off)
-    noise = contrast_noise(before.grain, light)  # in the dark, noise is no change
-    lost = state.status is Status.LOST or recognises
     readout = 0.0 if lost else tracker.rig.readout_s + predicted.readout
-    skew = readout * predicted.rate
-    now = _with_contrast(detector, before, shown, noise, skew)
+    sample = partial(_sample, detector, before, frame.image, readout * predicted.rate)
+    fit = sample(image_shift(tracker, predicted.centre))
     expected = state.reported_attitude if lost else predicted.attitude  # a ball that was hidden mostly rested
-    alignment, turns = near(detector, now, expected)
-    if lost and not (now.turned or turns):
+    alignment, turns = near(detector, fit.state, expected)
+    if lost and not (before.turned or turns):
         alignment = None  # a static scene would fit
-    searched = alignment is None and now.turned
+    searched = alignment is None and before.turned
     if searched:
+        near_to = None if isinstance(state.phase, Recognising) else expected
         shutter = _shutter(state, frame.stamp, readout)
-        alignment, now = search(detector, now, None if recognises else expected, lost, shutter)
-    elif now.turned and before.alignment is None and alignment is not None and is_ambiguous(detector, now, alignment):
-        alignment = None
-    shift, moves = None, predicted.centre_noise > 0.0
-    shows_centre = now.turned and not tracker.detector.sees_discs
-    if alignment is not None and shows_centre and (moves or lost or is_measured(now, alignment)):
-        shift = measure_centre(detector.fine, now, alignment, predicted)
-    if shift is not None and lost and is_lifted(shift, state, tracker):
-        alignment = shift = None
-    elif alignment is not None and shift is not None and not searched:
-        check = update_check(state.centre, shift, now, predicted, interval(state, frame.stamp))
-        if moves or has_moved(check):
-            moved = image_shift(tracker, shift.axes @ shift.place)
-            light_there, _ = detector.light(frame.image, moved)
-            there = _with_contrast(detector, before, light_there, noise, skew)
-            again = near(detector, there, alignment.attitude)[0]
-            if again is None:
-                shift = None  # it explains nothing
-            else:
-                off, shown, now, alignment = moved, light_there, there, again
+        alignment, now = search(detector, fit.state, near_to, lost, shutter)
+        fit = fit._replace(state=now)
+    elif before.turned and before.alignment is None and alignment is not None:
+        alignment = None if is_ambiguous(detector, fit.state, alignment) else alignment
+    fit = fit._replace(alignment=alignment, state=fit.state._replace(searched=searched))
+    if alignment is not None and before.turned and not tracker.detector.sees_discs:
+        fit = _at_seen_centre(state, frame.stamp, tracker, predicted, fit, sample)
+    return _learnt(fit, tracker, predicted, turns=turns, stamp=frame.stamp)
+
+
+def _is_lost(state: TrackState[So3State]) -> bool:
+    return state.status is Status.LOST or isinstance(state.phase, Recognising)
+
+
+class _Fit(NamedTuple):
+    """A frame, sampled for one place of the ball's centre, and how it fits the picture."""
+
+    off: Array  # (2,) px, of the ball's image from its place
+    light: tuple[ChartLight, ChartLight]
+    noise: float  # of a contrast; larger in the dark, where noise is no change
+    state: TextureState
+    alignment: Alignment | None = None
+    shift: SeenCentre | None = None  # of the centre from its place, if it was measured
+
+
+def _sample(detector: TextureDetector, before: TextureState, image: Image, skew: Array, off: Array) -> _Fit:
+    light, mean_grey = detector.light(image, off)
+    noise = contrast_noise(before.grain, mean_grey)
+    return _Fit(off, light, noise, _with_contrast(detector, before, light, noise, skew))
+
+
+def _at_seen_centre(
+    state: TrackState[So3State],
+    stamp: float,
+    tracker: Tracker[So3Filter],
+    predicted: So3State,
+    fit: _Fit,
+    sample: Callable[[Array], _Fit],
+) -> _Fit:
+    """Return a frame's fit with the ball's centre as the frame shows it.
+
+    A lost ball that is lifted fits nowhere. If the centre has left its place, `sample` samples the frame for the
+    measured one.
+    """
+    assert fit.alignment is not None
+    detector: TextureDetector = tracker.detector_data
+    moves, lost = predicted.centre_noise > 0.0, _is_lost(state)
+    if not (moves or lost or is_measured(fit.state, fit.alignment)):
+        return fit
+    shift = measure_centre(detector.fine, fit.state, fit.alignment, predicted)
+    if shift is None:
+        return fit
+    if lost and is_lifted(shift, state, tracker):
+        return fit._replace(alignment=None)
+    check = update_check(state.centre, shift, fit.state, predicted, interval(state, stamp))
+    if fit.state.searched or not (moves or has_moved(check)):
+        return fit._replace(shift=shift)
+    there = sample(image_shift(tracker, shift.axes @ shift.place))
+    alignment, _ = near(detector, there.state, fit.alignment.attitude)
+    if alignment is None:  # the shift explains nothing
+        return fit
+    return there._replace(alignment=alignment, shift=shift, state=there.state._replace(searched=False))
+
+
+def _learnt(
+    fit: _Fit, tracker: Tracker[So3Filter], predicted: So3State, *, turns: bool, stamp: float
+) -> tuple[Detections, TextureState]:
+    """Return the detections of a frame, and the state with what the frame shows of the ball.
+
+    `turns` is true if samples that are known to turn fit.
+    """
+    detector: TextureDetector = tracker.detector_data
+    now, alignment = fit.state, fit.alignment
     if alignment is not None:
-        now = _update_pictures(detector, now, shown, alignment.attitude)
+        now = _update_pictures(detector, now, fit.light, alignment.attitude)
         now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))
-        if not searched:
+        if not now.searched:
             now = _with_running_means(now, alignment)
             if now.turned and now.frame_index % _TASK_CYCLE == _TASK_CYCLE - 1:
                 now = compared_with_itself(detector, now, alignment)
     elif _details(now) < _MIN_DETAILS * now.details:
-        now = now._replace(last_plain_stamp=frame.stamp)
+        now = now._replace(last_plain_stamp=stamp)
     found, anchors = _detections(detector.fine, alignment, tracker, predicted, now.fine.seen.skew)
-    found = replace(found, centre=found.centre + off)
+    found = replace(found, centre=found.centre + fit.off)
     proven = now.turned or now.proven
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
         clear = significance(alignment) > CLEAR  # else no search would find a lost ball
-        proven = clear and _turns_all_over(detector.fine, now.fine, alignment.attitude, noise)
-    return found, now._replace(alignment=alignment, searched=searched, shown=anchors, proven=proven, shift=shift)
+        proven = clear and _turns_all_over(detector.fine, now.fine, alignment.attitude, fit.noise)
+    return found, now._replace(alignment=alignment, shown=anchors, proven=proven, shift=fit.shift)
 
 
 def _with_running_means(now: TextureState, alignment: Alignment) -> TextureState:
