@@ -28,7 +28,6 @@ from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.stills import looking
-from spheremouse.simulate.shapes import Sphere, Viewpoint, look
 
 TITLE = "Where to put the camera (Wittich 2017, chapter 5)"
 DISCS = 50
@@ -205,7 +204,7 @@ def _in_view(scene: Scene, toward: Array) -> NDArray[np.bool_]:
     around = np.stack([np.cos(_RIM), np.sin(_RIM)], axis=1) @ tangent_basis(toward).transpose(0, 2, 1)
     points = np.concatenate([toward[:, None], np.cos(angle) * toward[:, None] + np.sin(angle) * around], axis=1)
     cam = scene.pose.to_cam(scene.ball_radius * points)
-    first, _ = _shapes(scene).cast(cam[..., :2] / cam[..., 2:])
+    first, _ = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
     return _in_picture(cam, scene) & np.all(first == 0, axis=1)
 
 
@@ -219,7 +218,7 @@ def targets_in_view(scene: Scene) -> int:
     width = np.min(np.diff(targets.radii, prepend=0.0)) * scene.camera.fx * away[:, 2] / distance**2
     seen = (width > _RING) & np.all(cam[..., 2] > 0.0, axis=1)
     cam = cam[seen]
-    _, depth = _shapes(scene).cast(cam[..., :2] / cam[..., 2:])
+    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
     return int(np.count_nonzero(_in_picture(cam, scene) & np.all(depth > cam[..., 2] - 1e-3, axis=1)))
 
 
@@ -227,11 +226,6 @@ def _in_picture(cam: Array, scene: Scene) -> NDArray[np.bool_]:
     """Return which groups of points, (n, k, 3) in cam, are all in the picture."""
     uv = project(cam.reshape(-1, 3), scene.camera)[0].reshape(*cam.shape[:2], 2)
     return np.all((uv >= 0.0) & (uv <= (scene.camera.width - 1, scene.camera.height - 1)), axis=(1, 2))
-
-
-def _shapes(scene: Scene) -> Viewpoint:
-    shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *scene.surroundings]
-    return look(shapes, scene.pose.position, scene.pose.rotation)
 
 
 # ---- section ----

@@ -21,10 +21,9 @@ from spheremouse.ball.pose import TARGET_SIGMA_PX, Sighting, predict_targets, re
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, fibonacci_sphere, to_euler
-from spheremouse.simulate.ball.events import HandVisit, draw_hand, place_hand
+from spheremouse.simulate.ball.events import HandVisit, place_hand
 from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.ball.scene import Scene, default_scene
-from spheremouse.simulate.shapes import Sphere, look
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"
 VIEWS: tuple[View, ...] = ("far", "near")
@@ -143,12 +142,11 @@ def areas(points: int) -> Result:
 
 def _met(sphere: Array, scene: Scene, pose: Pose, around: bool) -> NDArray[np.bool_]:
     """Return the points of the ball that the renderer's ray meets first, with the objects `around` or without."""
-    shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *(scene.surroundings if around else ())]
     cam = pose.to_cam(scene.ball_radius * sphere)
     xy = cam[:, :2] / cam[:, 2:]
     parts = np.array_split(np.lexsort((xy[:, 1], np.round(xy[:, 0], 1))), max(1, len(xy) // 64))
     met = np.zeros(len(xy), dtype=bool)
-    view = look(shapes, pose.position, pose.rotation)
+    view = replace(scene, pose=pose, surroundings=scene.surroundings if around else ()).viewpoint()
     for part in parts:
         first, depth = view.cast(xy[part][None])
         met[part] = (first[0] == 0) & (np.abs(depth[0] - cam[part, 2]) < 1e-6)
@@ -164,18 +162,17 @@ def _in_picture(xy: Array, scene: Scene) -> NDArray[np.bool_]:
 
 def _behind_hands(sphere: Array, scene: Scene, hands: int) -> float:
     """Share of points of the ball that playing hands leave uncovered, mean over two seconds of play."""
-    drawing = draw_hand()
     uv = np.rint(seen_at(sphere, scene.rig(), scene.pose)).astype(int)
     visits = [HandVisit(0.0, 3.0, right) for right in (True, False)[:hands]]
     free = []
     for t in np.linspace(0.5, 2.5, 9):
         open_ = np.ones(len(sphere), dtype=bool)
         for visit in visits:
-            hand = place_hand(drawing, visit, scene, float(t))
+            hand = place_hand(visit, scene, float(t))
             if hand is None:
                 continue
             cover = np.zeros((scene.camera.height, scene.camera.width), np.float32)
-            cover[hand.place] = hand.paint[..., 3]
+            cover[hand.window.slices] = hand.paint[..., 3]
             open_ &= cover[np.clip(uv[:, 1], 0, cover.shape[0] - 1), np.clip(uv[:, 0], 0, cover.shape[1] - 1)] < 0.5
         free.append(np.mean(open_))
     return float(np.mean(free))

@@ -54,9 +54,9 @@ class Lighting:
     ball_radius: float  # m
 
     def on_room(self, points: Array, normals: Array) -> Array:
-        """Return the light, (n, 3) blue, green, red, on points (n, 3) m, obj, with unit `normals` (n, 3), of the room.
+        """Return the light past ball and struts, (n, 3) blue, green, red, on points of the room, (n, 3) m, obj.
 
-        The ball and the struts block a part of it.
+        `normals` (n, 3) are unit vectors.
         """
         towards = -points
         distance = _length(towards)
@@ -126,13 +126,17 @@ class Lighting:
 
 
 def develop(light: Array) -> Array:
-    """Convert linear light, any shape, to grey values 0 to 255 by the curve of sRGB.
-
-    Light 1 is white; near and above it the values approach 255 smoothly.
-    """
+    """Convert linear light, any shape, to grey values 0 to 255 by the curve of sRGB; above 1 they approach 255."""
     x = np.maximum(light, 0.0)
     x = x / (1.0 + x**4) ** 0.25
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
+
+
+def to_bytes(grey: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Return grey values in bytes, with normal noise of the standard deviation `noise` in every channel."""
+    if noise > 0.0:
+        grey = np.add(grey, np.float32(noise) * rng.standard_normal(grey.shape, dtype=np.float32))
+    return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)
 
 
 def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -1,7 +1,4 @@
-"""The shapes of a simulated scene, in `obj`, and the first intersections of rays with them.
-
-All shapes but the ball are flat or small spheres. Boxes, posts and lampshades consist of flat faces.
-"""
+"""The shapes of a simulated scene, in `obj`, and the first intersections of rays with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
@@ -28,8 +26,7 @@ class Face:
     _inward: Array = field(init=False, repr=False)  # (k, 3) across each edge, in the plane
 
     def __post_init__(self) -> None:
-        normal = np.cross(self.corners[1] - self.corners[0], self.corners[2] - self.corners[1])
-        normal /= np.linalg.norm(normal)
+        normal = unit(np.cross(self.corners[1] - self.corners[0], self.corners[2] - self.corners[1]))
         object.__setattr__(self, "_normal", normal)
         object.__setattr__(self, "_inward", np.cross(normal, np.roll(self.corners, -1, axis=0) - self.corners))
 
@@ -51,9 +48,7 @@ class Face:
         return np.where(inside, s, np.inf)
 
     def stripe(self, points: Array) -> NDArray[np.int64]:
-        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on; 0 on a face without stripes."""
-        if self.stripes == 0.0:
-            return np.zeros(len(points), dtype=np.int64)
+        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on."""
         along = self.corners[1] - self.corners[0]
         place = (points - self.corners[0]) @ along / np.linalg.norm(along) / self.stripes
         return np.clip(place, 0, _MAX_STRIPES - 1).astype(np.int64)
@@ -71,11 +66,8 @@ class Ring:
 
     def outline(self) -> Array:
         """Points around it, (32, 3), a little outside."""
-        a = np.cross(self.across, (0.3, 0.9, 0.2))
-        a /= np.linalg.norm(a)
-        b = np.cross(self.across, a)
-        angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)[:, None]
-        return self.centre + 1.01 * self.outer * (np.cos(angle) * a + np.sin(angle) * b)
+        a = unit(np.cross(self.across, (0.3, 0.9, 0.2)))
+        return self.centre + 1.01 * self.outer * circle(32) @ np.array([a, np.cross(self.across, a)])
 
     def normal(self, _: Array | None = None) -> Array:
         """Return the unit vector across, (3,), for any point."""
@@ -120,6 +112,17 @@ class Sphere:
 Shape = Face | Ring | Sphere
 
 
+def unit(v: Array) -> Array:
+    """Return a vector, (3,), with the length 1."""
+    return v / np.linalg.norm(v)
+
+
+def circle(n: int) -> Array:
+    """Return `n` points around the unit circle, (n, 2)."""
+    phase = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    return np.stack([np.cos(phase), np.sin(phase)], axis=1)
+
+
 def pixel_parts(n: int) -> Array:
     """Middles of the n² parts of a pixel, (n², 2) px from its middle."""
     offset = (np.arange(n) + 0.5) / n - 0.5
@@ -149,9 +152,8 @@ def post(
     All lengths are in m. `radius` is that at the foot, `top_radius` that at the top; None: the same.
     """
     a, b = np.array(foot), np.array(top)
-    axis = (b - a) / np.linalg.norm(b - a)
-    u = np.cross(axis, (0.31, 0.17, 0.93))
-    u /= np.linalg.norm(u)
+    axis = unit(b - a)
+    u = unit(np.cross(axis, (0.31, 0.17, 0.93)))
     v = np.cross(axis, u)
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None]
     around = np.cos(angle) * u + np.sin(angle) * v
@@ -159,19 +161,25 @@ def post(
     return [Face(np.array([low[i], low[i + 1], high[i + 1], high[i]]), colour) for i in range(sides)]
 
 
-@dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """Shapes as a camera has them before it: with their bounds in reduced image coordinates."""
+    """Shapes before a camera, with their bounds in reduced image coordinates."""
 
-    shapes: tuple[Shape, ...]
-    origin: Array  # (3,) m, obj
-    rotation: Array  # (3, 3) R_obj_cam
-    low: Array  # (n, 2); below every ray for a shape that is partly beside or behind the camera
-    high: Array  # (n, 2)
+    def __init__(self, shapes: Sequence[Shape], pose: Pose) -> None:
+        self.shapes, self.pose = tuple(shapes), pose
+        # (n, 2); a shape that is partly beside or behind the camera is unbounded, and one behind it has no inside
+        self._low, self._high = np.full((len(shapes), 2), -np.inf), np.full((len(shapes), 2), np.inf)
+        for i, shape in enumerate(shapes):
+            cam = pose.to_cam(shape.outline())
+            if np.all(cam[:, 2] <= 0.0):
+                self._low[i], self._high[i] = np.inf, -np.inf
+            elif np.all(cam[:, 2] >= 1e-3):
+                flat = cam[:, :2] / cam[:, 2:]
+                self._low[i], self._high[i] = flat.min(axis=0), flat.max(axis=0)
 
     def rays(self, xy: Array) -> Array:
         """Directions, (..., 3) obj, of reduced coordinates (..., 2), so long that distances are z in cam."""
-        return xy @ self.rotation[:, :2].T + self.rotation[:, 2]
+        R = self.pose.rotation
+        return xy @ R[:, :2].T + R[:, 2]
 
     def cast(self, xy: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the first shapes that rays hit: index, (m, k), -1 for none, and z in `cam`, (m, k) m.
@@ -184,24 +192,11 @@ class Viewpoint:
         flat = np.ascontiguousarray(np.moveaxis(xy, 2, 0))  # NumPy reduces the last axis of a compact array fastest
         lost = np.isnan(flat)  # no ray comes from there
         low, high = np.where(lost, np.inf, flat).min(axis=2).T, np.where(lost, -np.inf, flat).max(axis=2).T
-        separate = ((high[:, None] < self.low) | (low[:, None] > self.high)).any(axis=2)
+        separate = ((high[:, None] < self._low) | (low[:, None] > self._high)).any(axis=2)
         for index in np.flatnonzero(~separate.all(axis=0)):
             near = np.flatnonzero(~separate[:, index])
-            s = self.shapes[index].hit(self.origin, rays[near].reshape(-1, 3)).reshape(len(near), -1)
+            s = self.shapes[index].hit(self.pose.position, rays[near].reshape(-1, 3)).reshape(len(near), -1)
             nearer = s < depth[near]
             first[near] = np.where(nearer, index, first[near])
             depth[near] = np.where(nearer, s, depth[near])
         return first, depth
-
-
-def look(shapes: Sequence[Shape], origin: Array, rotation: Array) -> Viewpoint:
-    """The shapes from `origin` (3,) in obj, with R_obj_cam (3, 3)."""
-    low, high = np.full((len(shapes), 2), -np.inf), np.full((len(shapes), 2), np.inf)
-    for i, shape in enumerate(shapes):
-        cam = (shape.outline() - origin) @ rotation
-        if np.all(cam[:, 2] <= 0.0):
-            low[i], high[i] = np.inf, -np.inf
-        elif np.all(cam[:, 2] >= 1e-3):
-            flat = cam[:, :2] / cam[:, 2:]
-            low[i], high[i] = flat.min(axis=0), flat.max(axis=0)
-    return Viewpoint(tuple(shapes), origin, rotation, low, high)

@@ -18,43 +18,27 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.simulate.wand.path import (
     BALL_HEIGHT,
     CAMERA_HEIGHT,
+    R_CAM_WORLD,
     REST_AFTER,
     REST_BEFORE,
     drive,
     hand,
     turning_rates,
-    world_to_cam,
 )
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
+from tests.simulate.scenes import LENS, rng
 
 CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)
-LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
 
 
-def rng(seed=0):
-    return np.random.default_rng(seed)
+class Across:
+    """A ball 1 m away that moves to the right."""
 
-
-class Fixed:
-    seconds = 100.0
-
-    def __init__(self, centre, rotation):
-        self.centre, self.rotation = np.array(centre, dtype=float), rotation
+    seconds, speed = 100.0, 0.4  # m/s
 
     def pose(self, t):
-        n = len(np.atleast_1d(t))
-        return np.tile(self.centre, (n, 1)), np.tile(self.rotation, (n, 1, 1))
-
-
-class Moving(Fixed):
-    def __init__(self, centre, rotation, velocity):
-        super().__init__(centre, rotation)
-        self.velocity = np.array(velocity)
-
-    def pose(self, t):
-        c, R = super().pose(t)
-        return c + np.atleast_1d(t)[:, None] * self.velocity, R
+        return np.column_stack([self.speed * t, 0.0 * t, np.ones_like(t)]), np.tile(np.eye(3), (len(t), 1, 1))
 
 
 @pytest.mark.parametrize("seed", [1, 7])
@@ -62,7 +46,7 @@ def test_a_drive_is_that_of_the_thesis(seed):
     path = drive(rng(seed))
     t = np.arange(0.0, path.seconds, 0.05)
     centre, R = path.pose(t)
-    world = centre @ world_to_cam()
+    world = centre @ R_CAM_WORLD
     speed = np.linalg.norm(np.diff(centre, axis=0), axis=1) / 0.05
     assert np.allclose(world[:, 1], CAMERA_HEIGHT - BALL_HEIGHT)  # on a level floor
     assert speed.max() == pytest.approx(0.035, rel=1e-6)
@@ -112,13 +96,13 @@ def test_a_disc_appears_where_opencv_projects_its_rim():
     R = np.linalg.qr(np.column_stack([-centre, (1, 0, 0), (0, 1, 0)]))[0]
     R *= np.sign(np.linalg.det(R))
     R = R if disc.direction @ R.T @ centre < 0 else R @ np.diag([-1.0, -1.0, 1.0])
-    light = indoor_light(gloss=0.0)
+    light = indoor_light()
     only_disc = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
-    flat = replace(light, power=np.zeros((2, 3)), above=np.ones(3), below=np.ones(3))
+    flat = replace(light, gloss=0.0, power=np.zeros((2, 3)), above=np.ones(3), below=np.ones(3))
     layer = paint_ball(ball, only_disc, [(centre, R)], camera, flat)
     red = layer.paint[..., 2] / 0.5
     v, u = np.mgrid[: red.shape[0], : red.shape[1]]
-    found = np.array([np.sum(red * u), np.sum(red * v)]) / red.sum() + layer.place
+    found = np.array([np.sum(red * u), np.sum(red * v)]) / red.sum() + layer.window[:2]
     t = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     a = np.linalg.svd(disc.direction[None])[2][1:]
     rim = np.cos(disc.angle) * disc.direction + np.sin(disc.angle) * (
@@ -136,7 +120,7 @@ def test_cover_is_the_area_of_the_outline_and_goes_to_the_edge_of_the_picture():
     layer = paint_ball(ball, disc_paints(ball), [(centre, np.eye(3))], CAMERA, light)
     assert layer.paint[..., 3].sum() == pytest.approx(np.pi * 2100.0**2 / (2.0**2 / 0.05**2 - 1.0), rel=2e-3)
     half = paint_ball(ball, disc_paints(ball), [(np.array([-640.5 / 2100 * 2, 0, 2.0]), np.eye(3))], CAMERA, light)
-    assert half.place[0] == 0
+    assert half.window.left == 0
     assert half.paint[..., 3].sum() == pytest.approx(0.5 * layer.paint[..., 3].sum(), rel=0.06)
     assert paint_ball(ball, disc_paints(ball), [(np.array([5.0, 0, 2.0]), np.eye(3))], CAMERA, light) is None
     assert paint_ball(ball, disc_paints(ball), [(np.array([0, 0, -2.0]), np.eye(3))], CAMERA, light) is None
@@ -147,15 +131,14 @@ def test_exposure_lengthens_the_picture_of_a_moving_ball():
     camera = InteriorOrientation(400, 300, 2100.0, 2100.0, 200.0, 150.0)
 
     def extent(exposure):
-        path = Moving((0, 0, 1.0), np.eye(3), (0.4, 0.0, 0.0))
-        scene = WandScene(camera, (Carried(grzonka_ball(), path, "nothing"),), indoor_light(), exposure_s=exposure)
+        scene = WandScene(camera, (Carried(grzonka_ball(), Across(), "nothing"),), indoor_light(), exposure_s=exposure)
         with_ball, without = (WandRenderer(s).picture(0.0, rng()) for s in (scene, replace(scene, balls=())))
         changed = np.any(with_ball != without, axis=2)
         columns, rows = (np.flatnonzero(changed.any(axis=k)) for k in (0, 1))
         return columns[0], columns[-1], np.ptp(rows)
 
     sharp, blurred = np.array(extent(0.0)), np.array(extent(0.02))
-    half = 0.5 * 0.4 * 0.02 * 2100.0  # px
+    half = 0.5 * Across.speed * 0.02 * 2100.0  # px
     np.testing.assert_allclose(blurred - sharp, [-half, half, 0.0], atol=1.6)
 
 

@@ -15,7 +15,6 @@ from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.film import Scene, default_scene
 from spheremouse.simulate.ball.profile import Profile, rest, still
-from spheremouse.simulate.shapes import Sphere, look
 from spheremouse.tracker import Status
 
 NEW = "so3, new ball"  # so3 before a ball that it has not seen from all sides
@@ -66,9 +65,8 @@ def world(discs: int, layout: int) -> World:
     camera, pose = scene.camera, scene.pose
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
-    ball = Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour)
     tiles = xy.reshape(camera.height // 16, 16, camera.width // 16, 16, 2).swapaxes(1, 2)  # rays that meet the same
-    first, _ = look([ball, *scene.surroundings], pose.position, pose.rotation).cast(tiles.reshape(-1, 256, 2))
+    first, _ = scene.viewpoint().cast(tiles.reshape(-1, 256, 2))
     shown = (first == 0).reshape(camera.height // 16, camera.width // 16, 16, 16).swapaxes(1, 2).reshape(u.shape)
     phase = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
     middle = scene.disc_directions[:, None]

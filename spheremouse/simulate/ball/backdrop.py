@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
+from spheremouse.simulate.layers import Window
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.shapes import Face, Sphere, Viewpoint, look, pixel_parts
+from spheremouse.simulate.shapes import Face, Viewpoint, pixel_parts
 
 _RAYS_ACROSS_PIXEL = 6  # rays across a pixel where shapes meet
 _TILE_PX = 16  # px, of bundles of rays
@@ -35,22 +36,13 @@ class Backdrop:
 
 
 def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
-    """Cast a ray per pixel, and `_RAYS_ACROSS_PIXEL`² rays if neighbouring pixels show different shapes.
-
-    On request, leave out the ball.
-    """
+    """Cast a ray per pixel, and many rays at borders of shapes. Without `ball`, all but the ball is there."""
     h, w = scene.camera.height, scene.camera.width
-    v, u = np.mgrid[0:h, 0:w]
-    uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
+    uv = Window(0, 0, w, h).pixels().reshape(-1, 2)
     xy, dxy_duv = np.empty((h * w, 2)), np.empty((h * w, 2, 2))
     for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
         xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
-    # Behind the camera: the ball keeps its index
-    behind_camera = scene.pose.position - 10.0 * scene.pose.rotation[:, 2]
-    sphere = Sphere(np.zeros(3) if ball else behind_camera, scene.ball_radius, scene.ball_colour)
-    view, alone = (
-        look(shapes, scene.pose.position, scene.pose.rotation) for shapes in ([sphere, *scene.surroundings], [sphere])
-    )
+    view, alone = (s.viewpoint(ball=ball) for s in (scene, replace(scene, surroundings=())))
     ids, outline = np.empty(h * w, dtype=np.int64), np.empty(h * w)
     white, black = np.empty((h * w, 3)), np.empty((h * w, 3))
     # square tiles, of which those on the right and lower border may repeat pixels
@@ -78,16 +70,13 @@ def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
 
 
 def _intersect(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the shapes that bundles of rays hit, and z in cam, (m, k) m.
-
-    The shapes, (m, k), are shape * _IDS_PER_SHAPE + stripe, or < 0.
-    """
+    """Return shape * _IDS_PER_SHAPE + stripe, or < 0, and z in cam, m, that bundles of rays hit, (m, k) each."""
     first, depth = view.cast(xy)
     ids = first * _IDS_PER_SHAPE
     for index, shape in enumerate(view.shapes):
         if isinstance(shape, Face) and shape.stripes > 0.0:
             on = first == index
-            ids[on] += shape.stripe(view.origin + depth[on][:, None] * view.rays(xy[on]))
+            ids[on] += shape.stripe(view.pose.position + depth[on][:, None] * view.rays(xy[on]))
     return ids, depth
 
 
@@ -114,19 +103,19 @@ def _mix(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth
 def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
     """Return the grey values at rays, (n, 3), with a white and with a black ball. A ray that hits nothing is black."""
     light, gloss, albedo = np.zeros((3, len(xy), 3))
-    points = view.origin + depth[:, None] * view.rays(xy)
+    points = view.pose.position + depth[:, None] * view.rays(xy)
     on_ball, on_room = np.flatnonzero(ids == 0), np.flatnonzero(ids >= _IDS_PER_SHAPE)
     if len(on_ball):
         at = points[on_ball]
         at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
         light[on_ball] = scene.lighting.on_ball(at)
-        gloss[on_ball] = scene.lighting.gloss(at, view.origin)
+        gloss[on_ball] = scene.lighting.gloss(at, view.pose.position)
     if len(on_room):
         at, index, stripe = points[on_room], ids[on_room] // _IDS_PER_SHAPE, ids[on_room] % _IDS_PER_SHAPE
         normals = np.empty_like(at)  # on either side
         for i in np.unique(index):
             normals[index == i] = view.shapes[i].normal(at[index == i])
-        normals *= np.where(np.sum(normals * (view.origin - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
+        normals *= np.where(np.sum(normals * (view.pose.position - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
         light[on_room] = scene.lighting.on_room(at, normals)
         tone = 1.0 + 0.16 * np.sin(2.4 * stripe + 0.8) * np.sin(0.7 * stripe)
         albedo[on_room] = np.array([shape.colour for shape in view.shapes])[index] * tone[:, None]
@@ -136,18 +125,10 @@ def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], d
 
 
 def _borders(ids: NDArray[np.int64] | Array) -> NDArray[np.bool_]:
-    """Pixels with a different neighbour, (h, w), and the pixels above and below them.
-
-    So thin things between pixel centres and diagonal neighbours that only graze them are in.
-    """
-    border = np.zeros(ids.shape, dtype=np.uint8)
-    differs = ids[1:] != ids[:-1]
-    border[1:] |= differs
-    border[:-1] |= differs
-    differs = ids[:, 1:] != ids[:, :-1]
-    border[:, 1:] |= differs
-    border[:, :-1] |= differs
-    return cv2.dilate(border, np.ones((3, 1), dtype=np.uint8)) > 0
+    """Pixels with a different neighbour, (h, w), and those above and below them: what only grazes a pixel is in."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    border = np.asarray(cv2.morphologyEx(ids.astype(np.float32), cv2.MORPH_GRADIENT, cross)) > 0.0
+    return np.asarray(cv2.dilate(border.astype(np.uint8), np.ones((3, 1), dtype=np.uint8))) > 0
 
 
 class Layers(NamedTuple):
@@ -180,20 +161,17 @@ def render_layers(scene: Scene, backdrop: Backdrop) -> Layers:
     """Render the parts of a scene that `backdrop` shows together."""
     ball_alone = render_backdrop(replace(scene, surroundings=()))
     room = render_backdrop(scene, ball=False).white
-    h, w = ball_alone.outline.shape
     inside = ball_alone.outline > 0.99
-    front = np.where(inside, 1.0 - backdrop.ball / np.maximum(ball_alone.outline, 1e-3), _before(scene, h, w))[
-        ..., None
-    ]
+    front = np.where(inside, 1.0 - backdrop.ball / np.maximum(ball_alone.outline, 1e-3), _before(scene))[..., None]
     painted = np.where(inside[..., None], backdrop.white - (1.0 - front) * ball_alone.white, front * room)
     return Layers(scene, ball_alone, room, front.astype(np.float32), painted.astype(np.float32))
 
 
-def _before(scene: Scene, h: int, w: int) -> NDArray[np.float64]:
-    """Return a mask, (h, w): 1 at pixels with an object nearer than the ball's limb, else 0."""
-    v, u = np.mgrid[0:h, 0:w]
-    xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), scene.camera)
-    _, depth = look(scene.surroundings, scene.pose.position, scene.pose.rotation).cast(xy.reshape(h, w, 2))
+def _before(scene: Scene) -> NDArray[np.bool_]:
+    """Return the pixels, (h, w), with an object nearer than the ball's limb."""
+    h, w = scene.camera.height, scene.camera.width
+    xy, _ = unproject(Window(0, 0, w, h).pixels(), scene.camera)
+    _, depth = scene.viewpoint(ball=False).cast(xy.reshape(h, w, 2))
     distance = np.linalg.norm(scene.pose.position)
     limb = scene.pose.to_cam(scene.pose.position * (scene.ball_radius / distance) ** 2)
-    return (depth < limb[2]).astype(float)
+    return depth < limb[2]

@@ -1,7 +1,4 @@
-"""A simulated camera films a simulated ball: frames and exact truth, without files, clocks or a graphics card.
-
-`SimulationOptions` has the options of the command line. `prepare` builds the scene, and `simulate` films it.
-"""
+"""Films of a simulated ball: `prepare` builds the scene for the options of a film, and `simulate` films it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,19 +11,7 @@ from spheremouse.settings import option_name
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bump, facing, move_disc
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds
 from spheremouse.simulate.ball.pattern import Pattern
-from spheremouse.simulate.ball.profile import (
-    TURN_SECONDS,
-    Profile,
-    SeenFrom,
-    creep,
-    flick,
-    play,
-    rest,
-    roll,
-    shown_to_axes,
-    still,
-    thesis,
-)
+from spheremouse.simulate.ball.profile import TURN_SECONDS, Profile, SeenFrom, profile_of
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
 from spheremouse.simulate.ball.scene import BLACK, WHITE_BALL, Scene, default_scene
 from spheremouse.simulate.light import reflectance
@@ -69,7 +54,7 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         _check_length(options.seconds, options.fps, named("seconds"))
     elif options.motion == "roll":
         _check_length(TURN_SECONDS * options.turns, options.fps, named("turns"))
-    profile = _motion_profile(options)
+    profile = profile_of(options)
     seconds = profile.seconds if options.seconds is None else options.seconds
     for field in ("bump", "lift", "cover", "dim_at", "disc_off", "disc_moved"):
         time = getattr(options, field)
@@ -103,13 +88,13 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
     if options.azimuth == 0.0:
         return film
     back = film.turn.T
-    x, y = (replace(lift, shift=tuple(back @ lift.shift)) for lift in effects.lifts), SeenFrom(profile, back)
-    return replace(film, profile=y, options=replace(effects, lifts=tuple(x)))
+    lifts = tuple(replace(lift, shift=tuple(back @ lift.shift)) for lift in effects.lifts)
+    return replace(film, profile=SeenFrom(profile, back), options=replace(effects, lifts=lifts))
 
 
-def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterator[SimulatedFrame]:
-    """Yield the frames with truth. Stamps start at 0. You may pass an existing `renderer`."""
-    renderer = Renderer(simulation.scene, simulation.options) if renderer is None else renderer
+def simulate(simulation: Simulation) -> Iterator[SimulatedFrame]:
+    """Yield the frames with truth. Stamps start at `late`."""
+    renderer = Renderer(simulation.scene, simulation.options)
     camera = [round(1000.0 * simulation.azimuth) % 360000] if simulation.azimuth else []
     rng = np.random.Generator(np.random.SFC64([simulation.seed, 1, *camera]))  # the fastest: noise takes most time
     changes = list(simulation.changes)
@@ -122,17 +107,6 @@ def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterat
         yield renderer.frame(simulation.profile, t, index, rng)
 
 
-def _motion_profile(options: SimulationOptions) -> Profile:
-    """Return the motion that the options select."""
-    if options.motion == "roll":
-        return roll(options.turns, options.seconds)
-    if options.motion == "play":
-        seconds = 20.0 if options.seconds is None else options.seconds
-        return play(seconds, np.random.default_rng([options.seed, 2]))
-    motions = {"thesis": thesis, "still": still, "rest": rest, "creep": creep, "flick": flick, "axes": shown_to_axes}
-    return motions[options.motion]()
-
-
 def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
     """Return the disturbances of a film of this length."""
     hands = [(0.25, 0.45, True), (0.65, 0.90, True), (0.68, 0.90, False)] if options.hands else []
@@ -141,10 +115,9 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
         start, end = options.cover - 0.5, options.cover + options.cover_seconds + 0.5
         visits += [HandVisit(start, end, right, size=1.12) for right in (True, False)]
     dimming: tuple[Dimming, ...] = ()
-    if options.dim is not None and options.dim_at is not None:
-        dimming = (Dimming(options.dim_at, options.dim_at + options.dim_seconds, options.dim),)
-    elif options.dim is not None:
-        dimming = (Dimming(0.4 * seconds, 0.6 * seconds, options.dim),)
+    if options.dim is not None:
+        at, middle = options.dim_at, (0.4 * seconds, 0.6 * seconds)
+        dimming = (Dimming(*(middle if at is None else (at, at + options.dim_seconds)), options.dim),)
     x, y, z = (1e-3 * v for v in options.lift_by)
     shifts: list[Lift | Sway] = [Sway((1e-3 * options.sway, 0.0, 0.0))] if options.sway else []
     if options.lift is not None:

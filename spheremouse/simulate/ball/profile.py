@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, exp, from_euler
+from spheremouse.simulate.ball.options import SimulationOptions
 
 TURN_SECONDS = 3.0  # s, of a turn of `roll`
 
@@ -41,15 +42,12 @@ class SeenFrom:
 
     @property
     def seconds(self) -> float:
-        """s, as that of the motion."""
         return self.profile.seconds
 
     def attitude(self, t: Array) -> Array:
-        """R_obj_ball at times (n,) s, (n, 3, 3)."""
         return self.rotation @ self.profile.attitude(t)
 
     def rate(self, t: Array) -> Array:
-        """w_obj at times (n,) s, (n, 3) rad/s."""
         return self.profile.rate(t) @ self.rotation.T
 
 
@@ -118,8 +116,7 @@ class Gesture:
 
         The rate rises and falls along x²(3 - 2x), so that the angular acceleration has no jump either.
         """
-        up = self.ramp * (1.0 - self.coast)
-        down = self.ramp * (1.0 + self.coast)
+        up, down = self.ramp * (1.0 - self.coast), self.ramp * (1.0 + self.coast)
         x = np.clip((np.asarray(t, dtype=float) - self.start) / self.length, 0.0, 1.0)
         peak = 1.0 / (1.0 - 0.5 * (up + down))
         (rise, rise_integral), (fall, fall_integral) = _smooth(x / up), _smooth((1.0 - x) / down)
@@ -185,14 +182,11 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
     are singular there.
     """
     total = TURN_SECONDS * turns if seconds is None else seconds
-    turns_forth = float(np.ceil(turns / 2.0))
-    parts = (
-        [(turns_forth, (1.0, 0.0, 1.0)), (turns - turns_forth, (1.0, 0.0, -1.0))]
-        if turns > 1.0
-        else [(turns, (1.0, 0.0, 1.0))]
-    )
+    forth = min(turns, float(np.ceil(turns / 2.0)))
     gestures, start = [], 0.0
-    for share, axis in parts:
+    for share, axis in ((forth, (1.0, 0.0, 1.0)), (turns - forth, (1.0, 0.0, -1.0))):
+        if share == 0.0:
+            continue
         length = total * share / turns
         gestures.append(Gesture(start, length, _unit(axis), 2.0 * np.pi * share, min(0.4, 1.0 / length)))
         start += length
@@ -206,20 +200,14 @@ def rest(seconds: float = 60.0) -> Gestures:
 
 
 def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
-    """Return a motion that shows the ball for 8 s and rests for 2 s. Then the ball turns slowly, and rests.
-
-    The turn by `rate` (rad/s) times `seconds` takes 1 s more than `seconds`.
-    """
+    """The ball is shown for 8 s and rests for 2 s. Then it turns by `rate` (rad/s) times `seconds` in 1 s more."""
     shown = _initial_turns()
     slow = stroke(_end(shown) + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
     return Gestures((*shown, slow), slow.start + slow.length + 2.0)
 
 
 def flick(rate: float = np.radians(400.0), stop: float = 0.05) -> Gestures:
-    """The ball is shown for 8 s, then flicked at `rate` (rad/s) about four axes.
-
-    A hand starts each flick in 0.12 s, stops it within `stop` s and flicks the ball straight back.
-    """
+    """The ball is shown for 8 s, then flicked at `rate` (rad/s) about four axes, stopped within `stop` s, and back."""
     gestures = _initial_turns()
     t = _end(gestures) + 0.5
     for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.3, -1.0)):
@@ -283,3 +271,13 @@ def play(seconds: float, rng: np.random.Generator) -> Gestures:
         gestures.append(Gesture(float(t), length, _unit(axis), float(angle), 0.5, coast))
         t += length * rng.uniform(0.6, 1.05)  # often the next begins before this one has ended
     return Gestures(tuple(sorted(gestures, key=lambda g: g.start)), seconds)
+
+
+def profile_of(options: SimulationOptions) -> Profile:
+    """Return the motion that the options select."""
+    if options.motion == "roll":
+        return roll(options.turns, options.seconds)
+    if options.motion == "play":
+        return play(20.0 if options.seconds is None else options.seconds, np.random.default_rng([options.seed, 2]))
+    motions = {"thesis": thesis, "still": still, "rest": rest, "creep": creep, "flick": flick, "axes": shown_to_axes}
+    return motions[options.motion]()

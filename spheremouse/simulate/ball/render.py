@@ -18,10 +18,11 @@ from spheremouse.ball.truth import DiscTruth
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop, render_layers
-from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, PlacedHand, Sway, draw_hand, place_hand
+from spheremouse.simulate.ball.events import Dimming, Flicker, HandVisit, Lift, Sway, place_hand
 from spheremouse.simulate.ball.profile import Profile
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.ball.surface import Points, Surface
+from spheremouse.simulate.layers import Layer, lay
 from spheremouse.tracker import Frame
 
 # Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
@@ -64,7 +65,6 @@ class SimulatedFrame:
 class _Place(NamedTuple):
     """The ball in its place, or in another."""
 
-    centre: Array  # (3,) m, obj
     backdrop: Backdrop
     surface: Surface
     points: Points | None  # None without a pattern
@@ -74,7 +74,7 @@ class _Seen(NamedTuple):
     """Discs and pattern in a frame, used again while the ball does not move."""
 
     attitude: Array  # (3, 3) R_obj_ball
-    centre: Array  # (3,) m
+    place: _Place
     pixel: NDArray[np.intp]  # (k,) that show discs or a pattern at some moment
     dark: NDArray[np.float32]  # (k,) mean share of black in them
     discs: DiscTruth
@@ -90,11 +90,10 @@ class Renderer:
         self._unit = scene = scene.scaled(1.0 / scene.scale)  # in the unit of length of its surroundings
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         reach = self.options.reach
-        self._home = _place(np.zeros(3), self.backdrop, Surface(scene, reach))
+        self._home = _place(self.backdrop, Surface(scene, reach))
         self._away = self._home
         self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
-        self._hand = draw_hand()
         self._last: _Seen | None = None
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
@@ -102,29 +101,28 @@ class Renderer:
         scene, now = self.scene, np.array([t])
         attitude = profile.attitude(now)[0]
         place = self._at(sum((x.at(t) for x in self.options.lifts), attitude @ np.array(self.options.eccentric)))
-        placed = [place_hand(self._hand, visit, self._unit, t) for visit in self.options.hands]
+        placed = [place_hand(visit, self._unit, t) for visit in self.options.hands]
         hands = [hand for hand in placed if hand is not None]
         half = 0.5 * (scene.exposure_s + scene.readout_s)
         rests = not hands and np.all(profile.attitude(t + half * np.linspace(-1.0, 1.0, 5)) == attitude)
         seen = self._last
-        if not rests or seen is None or np.any(seen.attitude != attitude) or np.any(seen.centre != place.centre):
+        if not rests or seen is None or seen.place is not place or np.any(seen.attitude != attitude):
             seen = self._look(profile, t, attitude, place, hands)
         self._last = seen if rests else None
-        image = self._picture(seen, place, hands, t, rng)
+        image = self._picture(seen, hands, t, rng)
         discs = replace(seen.discs, frame=np.full(len(seen.discs), sequence, dtype=np.intp))
-        return SimulatedFrame(
-            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, scene.scale * place.centre, scene.pose
-        )
+        centre = scene.scale * place.surface.centre
+        return SimulatedFrame(Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, centre, scene.pose)
 
     def _at(self, centre: Array) -> _Place:
         """All that goes with the ball's centre, (3,) m; rows and exposure share it."""
         if self._layers is None or not np.any(centre):
             return self._home
-        if np.any(centre != self._away.centre):
-            self._away = _place(centre, self._layers.backdrop(centre), self._home.surface.moved(centre))
+        if np.any(centre != self._away.surface.centre):
+            self._away = _place(self._layers.backdrop(centre), self._home.surface.moved(centre))
         return self._away
 
-    def _look(self, profile: Profile, t: float, attitude: Array, place: _Place, hands: Sequence[PlacedHand]) -> _Seen:
+    def _look(self, profile: Profile, t: float, attitude: Array, place: _Place, hands: Sequence[Layer]) -> _Seen:
         """Average what is painted on the ball over the exposure."""
         surface, times = place.surface, self._moments(profile, t)
         covered = [surface.coverage(profile.attitude, moment) for moment in times]
@@ -133,7 +131,7 @@ class Renderer:
             points, light = place.points, np.ones(place.backdrop.ball.size, dtype=np.float32)
             black = np.zeros(len(points.pixel), dtype=np.float32)
             for k, moment in enumerate(times):
-                R = surface.attitude_by_row(profile.attitude, moment).astype(np.float32)
+                R = profile.attitude(surface.row_times(moment)).astype(np.float32)
                 if len(R) > 1:
                     turned = (points.normal @ R[points.pixel // self.scene.camera.width]).reshape(-1, 3)
                 else:
@@ -153,29 +151,25 @@ class Renderer:
             dark = every[pixel]
         shown = place.backdrop.ball.copy() if hands else place.backdrop.ball
         for hand in hands:
-            shown[hand.place] *= 1.0 - hand.paint[..., 3]
-        discs = surface.truth(profile.attitude, t, 0, covered[len(times) // 2], shown, place.backdrop.outline)
-        return _Seen(attitude, place.centre, pixel, (dark / len(times)).astype(np.float32), discs)
+            shown[hand.window.slices] *= 1.0 - hand.paint[..., 3]
+        discs = surface.truth(profile.attitude, t, covered[len(times) // 2], shown, place.backdrop.outline)
+        return _Seen(attitude, place, pixel, (dark / len(times)).astype(np.float32), discs)
 
-    def _picture(
-        self, seen: _Seen, place: _Place, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator
-    ) -> NDArray[np.uint8]:
+    def _picture(self, seen: _Seen, hands: Sequence[Layer], t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the picture of a moment, (h, w, 3): light, ball, hands and noise over the prepared background."""
         options, pixel = self.options, seen.pixel
-        white, black = place.backdrop.white, place.backdrop.black
+        white, black = seen.place.backdrop.white, seen.place.backdrop.black
         plain = white.reshape(-1, 3)[pixel]
         touched = plain + seen.dark[:, None] * (black.reshape(-1, 3)[pixel] - plain)
         factor = self._light(t)
-        if place is self._home and not hands and factor is None and options.brightness == 0.0 == options.noise:
+        if seen.place is self._home and not hands and factor is None and options.brightness == 0.0 == options.noise:
             image = self._bytes.copy()
             image.reshape(-1, 3)[pixel] = _to_bytes(touched)
         else:
             picture = white.copy()
             picture.reshape(-1, 3)[pixel] = touched
             for hand in hands:
-                part = picture[hand.place]
-                part *= 1.0 - hand.paint[..., 3:]
-                part += hand.paint[..., :3]
+                lay(picture, hand)
             if factor is not None:
                 picture *= factor[:, None, None]
             image = _expose(picture, options.noise, options.brightness, rng)
@@ -183,16 +177,14 @@ class Renderer:
 
     def _light(self, t: float) -> NDArray[np.float32] | None:
         """Return the factor on the grey values of every row at its own time, (h or 1,), or None if it is 1."""
-        options, scene = self.options, self.scene
+        options = self.options
         if not options.dimming and options.flicker is None:
             return None
-        times = np.array([t])
-        if scene.readout_s > 0.0:
-            times = t + self._home.surface.row_time(np.arange(float(scene.camera.height)))
+        times = self._home.surface.row_times(t)
         factor = np.prod([d.at(times) for d in options.dimming], axis=0)
         if options.flicker is not None:
-            factor = factor * options.flicker.at(times, scene.exposure_s)
-        return None if np.all(factor == 1.0) else np.atleast_1d(factor).astype(np.float32)
+            factor = factor * options.flicker.at(times, self.scene.exposure_s)
+        return None if np.all(factor == 1.0) else factor.astype(np.float32)
 
     def _moments(self, profile: Profile, t: float) -> Array:
         """Times in the exposure, s; from one to the next no disc moves by more than a pixel.
@@ -206,13 +198,12 @@ class Renderer:
         fastest = float(np.max(np.linalg.norm(profile.rate(ends), axis=1)))
         gap = np.linalg.norm(scene.pose.position) - scene.ball_radius
         pixels = fastest * scene.ball_radius * max(scene.camera.fx, scene.camera.fy) / gap * scene.exposure_s
-        n = 2 * int(np.ceil(pixels / 2.0)) + 1 if len(scene.disc_directions) else int(np.ceil(pixels / 2.0)) + 1
-        n = min(n, _MAX_MOMENTS)
+        n = min(1 + int(np.ceil(pixels / 2.0)) * (2 if len(scene.disc_directions) else 1), _MAX_MOMENTS)
         return t + scene.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
 
 
-def _place(centre: Array, backdrop: Backdrop, surface: Surface) -> _Place:
-    return _Place(centre, backdrop, surface, surface.points(backdrop.ball) if surface.scene.pattern else None)
+def _place(backdrop: Backdrop, surface: Surface) -> _Place:
+    return _Place(backdrop, surface, surface.points(backdrop.ball) if surface.scene.pattern else None)
 
 
 def _expose(

@@ -17,7 +17,7 @@ from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.ball.pattern import Pattern
 from spheremouse.simulate.light import Lamp, Lighting, Strip
-from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, box, post
+from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, Viewpoint, box, post
 
 # Shares of light given back: blue, green, red
 INK: dict[str, Colour] = {"C": (0.74, 0.72, 0.008), "M": (0.58, 0.010, 0.72), "Y": (0.008, 0.66, 0.78)}
@@ -91,18 +91,12 @@ def _rings(centre: Array, colours: Sequence[tuple[Colour, float]]) -> list[Ring]
 
 def _walls() -> list[Shape]:
     """Return the room around the ball."""
-    x, low, top, back, front = _SIDE_X, _FLOOR_Y, _TOP_Y, _BACK_Z, 4.0
-    floor = np.array([[-x, low, back], [-x, low, front], [x, low, front], [x, low, back]])
-    shapes: list[Shape] = [
-        Face(np.roll(floor, 1, axis=0), _BOARDS, stripes=0.16),
-        Face(np.array([[-x, low, back], [x, low, back], [x, top, back], [-x, top, back]]), _WALL),
-        Face(np.array([[-x, low, back], [-x, low, front], [-x, top, front], [-x, top, back]]), (0.40, 0.38, 0.33)),
-        Face(np.array([[x, low, back], [x, low, front], [x, top, front], [x, top, back]]), (0.40, 0.38, 0.33)),
-        Face(np.array([[-x, top, back], [-x, top, front], [x, top, front], [x, top, back]]), (0.7, 0.7, 0.7)),
-        Face(np.array([[-x, low, front], [x, low, front], [x, top, front], [-x, top, front]]), (0.3, 0.3, 0.3)),
-    ]
-    shapes += box((-x, low, back), (x, low + 0.09, back + 0.02), (0.6, 0.62, 0.62))
-    return shapes
+    x, low, back = _SIDE_X, _FLOOR_Y, _BACK_Z
+    sides = box((-x, low, back), (x, _TOP_Y, 4.0), _WALL)
+    colours = ((0.40, 0.38, 0.33), (0.40, 0.38, 0.33), _BOARDS, (0.7, 0.7, 0.7), _WALL, (0.3, 0.3, 0.3))
+    shapes: list[Shape] = [Face(side.corners, colour) for side, colour in zip(sides, colours, strict=True)]
+    shapes[2] = Face(np.roll(sides[2].corners[::-1], 2, axis=0), _BOARDS, stripes=0.16)  # boards along z
+    return shapes + box((-x, low, back), (x, low + 0.09, back + 0.02), (0.6, 0.62, 0.62))
 
 
 def _shelves() -> list[Shape]:
@@ -204,6 +198,11 @@ class Scene:
     def disc_angle(self) -> float:
         """rad, between the centre of a disc and its edge, seen from the ball's centre."""
         return self.disc_radius / self.ball_radius
+
+    def viewpoint(self, *, ball: bool = True) -> Viewpoint:
+        """Return all shapes before the camera. The ball is the first; if it is left out, it is behind the camera."""
+        centre = np.zeros(3) if ball else self.pose.position - 10.0 * self.pose.rotation[:, 2]
+        return Viewpoint([Sphere(centre, self.ball_radius, self.ball_colour), *self.surroundings], self.pose)
 
     def scaled(self, factor: float) -> "Scene":
         """The same scene in another size."""

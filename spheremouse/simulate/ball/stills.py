@@ -1,7 +1,6 @@
 """Simulated calibration photos of a device and of a chessboard, with their ground truth.
 
-`StillsOptions` selects the subjects. `prepare_stills` builds device, lens and tripod, and `photos` takes the pictures
-one by one. The device does not move. The hand-held camera moves round it, as far as the targets are in view. It takes
+`prepare_stills` builds device, lens and places, and `photos` takes the pictures one by one. The hand-held camera takes
 the views of the written instructions: the device from all sides that show three targets, and the board aslant, near,
 and in every part of the picture.
 """
@@ -20,13 +19,13 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.write import device_description
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp
+from spheremouse.simulate.ball import board
 from spheremouse.simulate.ball.backdrop import render_backdrop
-from spheremouse.simulate.ball.board import MIDDLE, Board, render_board
 from spheremouse.simulate.ball.options import StillsOptions
 from spheremouse.simulate.ball.scene import LAMPS, STRIPS, Scene, default_scene, frame, room
 from spheremouse.simulate.ball.surface import Surface
-from spheremouse.simulate.light import Lighting
-from spheremouse.simulate.shapes import Sphere, look
+from spheremouse.simulate.light import Lighting, to_bytes
+from spheremouse.simulate.shapes import circle, unit
 
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
 _MIN_DISTANCE_M, _MAX_DISTANCE_M = 1.8, 3.3  # m
@@ -78,7 +77,7 @@ def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pos
 
 
 def _directions(poses: list[Pose]) -> Array:
-    return np.array([(pose.position - _AIM) / np.linalg.norm(pose.position - _AIM) for pose in poses])
+    return np.array([unit(pose.position - _AIM) for pose in poses])
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
@@ -112,10 +111,8 @@ def _in_room(pose: Pose) -> bool:
 
 def looking(position: Array, at: Array, roll: float) -> Pose:
     """A camera at `position` (3,) m that has `at` (3,) in its middle and is turned by `roll` rad clockwise."""
-    z = at - position
-    z /= np.linalg.norm(z)
-    x = np.cross(z, (0.0, 1.0, 0.0))
-    x /= np.linalg.norm(x)
+    z = unit(at - position)
+    x = unit(np.cross(z, (0.0, 1.0, 0.0)))
     y = np.cross(z, x)
     c, s = np.cos(roll), np.sin(roll)
     return Pose(np.stack([c * x + s * y, c * y - s * x, z], axis=1), position)
@@ -123,20 +120,17 @@ def looking(position: Array, at: Array, roll: float) -> Pose:
 
 def _shows(scene: Scene, pose: Pose) -> bool:
     """The whole ball in the picture, and three targets of it or more, wholly, facing the camera enough."""
-    phase = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    toward = pose.position / np.linalg.norm(pose.position)
-    side = np.cross(toward, (0.2, 1.0, 0.1))
-    side /= np.linalg.norm(side)
-    circle = np.cos(phase)[:, None] * side + np.sin(phase)[:, None] * np.cross(toward, side)
-    whole = np.all(_in_picture(pose.to_cam(scene.ball_radius * circle), scene.camera))
+    toward = unit(pose.position)
+    side = unit(np.cross(toward, (0.2, 1.0, 0.1)))
+    limb = scene.ball_radius * circle(24) @ np.array([side, np.cross(toward, side)])
+    whole = np.all(_in_picture(pose.to_cam(limb), scene.camera))
     return bool(whole and np.sum(_facing(scene, pose)[0]) >= 3 and np.sum(seen_targets(scene, pose)) >= 3)
 
 
 def seen_targets(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
     """Return True, (n,), for targets that nothing hides and that have rings wide enough to be resolved."""
-    shapes = [Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour), *scene.surroundings]
     facing, cam = _facing(scene, pose)
-    _, depth = look(shapes, pose.position, pose.rotation).cast(cam[..., :2] / cam[..., 2:])
+    _, depth = replace(scene, pose=pose).viewpoint().cast(cam[..., :2] / cam[..., 2:])
     return facing & np.all(depth > cam[..., 2] - 1e-3, axis=1)
 
 
@@ -145,9 +139,8 @@ def _facing(scene: Scene, pose: Pose) -> tuple[NDArray[np.bool_], Array]:
 
     Also points just within their outer circles, (n, 16, 3) m in cam.
     """
-    phase = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    circle = np.stack([np.cos(phase), np.sin(phase), np.zeros(16)], axis=1)
-    cam = pose.to_cam(scene.targets.position[:, None] + 0.98 * scene.targets.radii[2] * circle)
+    rim = 0.98 * scene.targets.radii[2] * np.column_stack([circle(16), np.zeros(16)])
+    cam = pose.to_cam(scene.targets.position[:, None] + rim)
     inside = np.all(_in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
     to_camera = pose.position - scene.targets.position
     distance = np.linalg.norm(to_camera, axis=1)
@@ -167,7 +160,7 @@ def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]
 # ---- before the board ----
 
 
-def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
+def board_stations(camera: InteriorOrientation, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
     """Return poses for `n` photos of the whole board. Together they fill the picture, with tilts in all directions.
 
     Of many random hand-held poses, each photo takes the one with most corners in regions with few corners so far.
@@ -177,7 +170,7 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
     found: list[Pose] = []
     for k in range(n):
         view = _TILTS[k % len(_TILTS)], _GOLDEN_ANGLE_DEG * k, _BOARD_ROLLS[k % len(_BOARD_ROLLS)]
-        tries = [_before_board(board, camera, view, rng) for _ in range(_CANDIDATE_POSES)]
+        tries = [_before_board(camera, view, rng) for _ in range(_CANDIDATE_POSES)]
         kept = [pose for pose in tries if pose is not None]
         if not kept:
             raise ConfigurationError(
@@ -196,7 +189,7 @@ def board_stations(board: Board, camera: InteriorOrientation, n: int, rng: np.ra
 
 
 def _before_board(
-    board: Board, camera: InteriorOrientation, view: tuple[float, float, float], rng: np.random.Generator
+    camera: InteriorOrientation, view: tuple[float, float, float], rng: np.random.Generator
 ) -> Pose | None:
     """Return a pose with the board anywhere in the picture, or None if it is not whole.
 
@@ -205,12 +198,12 @@ def _before_board(
     tilt, towards, turn = np.radians([view[0] + rng.normal(0.0, 2.0), view[1] + rng.normal(0.0, 10.0), view[2]])
     direction = np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
     picture = np.array([camera.width / camera.fx, camera.height / camera.fy])  # its size at unit distance
-    reach = rng.uniform(0.8, 2.0) * np.max(board.size / picture)
-    pose = looking(MIDDLE + reach * direction, MIDDLE, turn + rng.normal(0.0, 0.1))
+    reach = rng.uniform(0.8, 2.0) * np.max(board.SIZE / picture)
+    pose = looking(board.MIDDLE + reach * direction, board.MIDDLE, turn + rng.normal(0.0, 0.1))
     # turned about the projection centre, so that the board's middle is seen elsewhere
     x, y = rng.uniform(-0.4, 0.4, 2) * picture
     pose = Pose(pose.rotation @ exp(np.array([y, -x, 0.0])), pose.position)
-    whole = np.all(_in_picture(pose.to_cam(board.outline(0.5 * board.square)), camera))
+    whole = np.all(_in_picture(pose.to_cam(board.outline(0.5 * board.SQUARE)), camera))
     return pose if whole and _in_room(pose) else None
 
 
@@ -239,7 +232,6 @@ class Stills:
 
     scene: Scene  # with the pose of the first photo; `ball` equals `obj`
     device_poses: tuple[Pose, ...]
-    board: Board
     board_poses: tuple[Pose, ...]  # in the board's room
     noise: float  # grey values
     seed: int
@@ -254,11 +246,11 @@ class Photo(NamedTuple):
 def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) -> Stills:
     """Return device, lens and camera places. Raise ConfigurationError if no picture is possible with the options."""
     rng = np.random.default_rng([options.seed, 3])
-    scene, board = _scene(options, device), Board()
+    scene = _scene(options, device)
     stations = device_stations(scene, options.photos, rng)
-    boards = board_stations(board, scene.camera, options.boards, rng)
+    boards = board_stations(scene.camera, options.boards, rng)
     scene = replace(scene, pose=stations[0]) if stations else scene
-    return Stills(scene, stations, board, boards, options.noise, options.seed)
+    return Stills(scene, stations, boards, options.noise, options.seed)
 
 
 def photos(stills: Stills) -> Iterator[Photo]:
@@ -268,7 +260,7 @@ def photos(stills: Stills) -> Iterator[Photo]:
         picture = device_picture(replace(stills.scene, pose=pose))
         yield Photo(f"device/device_{k}", _expose(picture, stills.noise, rng), pose)
     for k, pose in enumerate(stills.board_poses):
-        picture = render_board(stills.board, stills.scene, pose)
+        picture = board.render_board(stills.scene, pose)
         yield Photo(f"board/chess_{k:02d}", _expose(picture, stills.noise, rng), pose)
 
 
@@ -287,7 +279,7 @@ def truth_of(stills: Stills) -> dict[str, Any]:
     return {
         "made_by": "spheremouse calibrate practice",
         **{key: known[key] for key in ("width", "height", "camera", "disc_radius", "target_radii", "targets")},
-        "board": {"inner_corners": [stills.board.columns, stills.board.rows], "square": stills.board.square},
+        "board": {"inner_corners": [board.COLUMNS, board.ROWS], "square": board.SQUARE},
         "ball": {"radius": scene.ball_radius, "center": [0, 0, 0]},
         "discs_obj": (scene.ball_radius * scene.disc_directions).tolist(),
         "device_poses": {f"device_{k}": pose.matrix().tolist() for k, pose in enumerate(stills.device_poses)},
@@ -322,7 +314,4 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
 
 def _expose(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Through the lens' blur, with noise, in bytes."""
-    blurred = np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
-    if noise > 0.0:
-        blurred += np.float32(noise) * rng.standard_normal(blurred.shape, dtype=np.float32)
-    return np.clip(np.rint(blurred), 0.0, 255.0).astype(np.uint8)
+    return to_bytes(np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32), noise, rng)

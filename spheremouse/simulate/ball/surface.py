@@ -17,7 +17,8 @@ from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 from spheremouse.geometry.camera import project, row_of, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
-from spheremouse.simulate.shapes import pixel_parts
+from spheremouse.simulate.layers import window
+from spheremouse.simulate.shapes import circle, pixel_parts
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 
@@ -65,14 +66,13 @@ class Surface:
         camera, pose = scene.camera, scene.pose
         self._present = ~np.isin(np.arange(len(scene.disc_directions)), scene.fallen)  # (n,) on the ball
         self._set_centre(np.zeros(3))
-        uv = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
-        low, high = np.floor(uv.min(axis=0)) - _TESTED_MARGIN_PX, np.ceil(uv.max(axis=0)) + _TESTED_MARGIN_PX + 1
-        (u0, v0), (u1, v1) = np.clip([low, high], 0, (camera.width, camera.height)).astype(int)
-        v, u = np.mgrid[v0:v1, u0:u1]
-        xy, dxy_duv = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
+        outline = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
+        self._window = window(outline, _TESTED_MARGIN_PX, camera)
+        uv = self._window.pixels()
+        xy, dxy_duv = unproject(uv, camera)
         turn = pose.rotation[:, :2]
-        self._low, self._ray = np.array([u0, v0]), (xy @ turn.T + pose.rotation[:, 2]).reshape(*u.shape, 3)
-        self._dray = (turn @ dxy_duv).reshape(*u.shape, 3, 2)
+        self._ray = (xy @ turn.T + pose.rotation[:, 2]).reshape(*uv.shape[:2], 3)
+        self._dray = (turn @ dxy_duv).reshape(*uv.shape[:2], 3, 2)
 
     def moved(self, centre: Array) -> Self:
         """Return the same surface with the ball's centre, (3,) m in obj, elsewhere within reach."""
@@ -83,7 +83,7 @@ class Surface:
     def _set_centre(self, centre: Array) -> None:
         """Set the place of the ball, `centre` (3,) m in obj, and the geometry of its outline."""
         scene = self.scene
-        self._centre = centre
+        self.centre = centre
         self._origin = scene.pose.position - centre  # (3,) m, the camera from the ball's centre
         distance = np.linalg.norm(self._origin)
         self._eye = self._origin / distance
@@ -91,22 +91,25 @@ class Surface:
         focal = max(scene.camera.fx, scene.camera.fy)
         self._pixel = float((distance - scene.ball_radius) / scene.ball_radius / focal)  # rad, square to the ray
 
-    def row_time(self, v: Array) -> Array:
+    def _row_time(self, v: Array) -> Array:
         """Return the time, s, when image rows `v` (px, any shape) are exposed, relative to the middle row."""
         return row_of(v, self.scene.camera.height) * self.scene.readout_s
 
-    def attitude_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
-        """Return R_obj_ball, (1 or h, 3, 3), when each row of a frame at `t` is exposed; one if that is the same."""
+    def row_times(self, t: float) -> Array:
+        """Return the times, (1 or h,) s, when the rows of a frame at `t` are exposed; one if all are at once."""
         if self.scene.readout_s == 0.0:
-            return attitude_at(np.array([t]))
-        return attitude_at(t + self.row_time(np.arange(float(self.scene.camera.height))))
+            return np.array([t])
+        return t + self._row_time(np.arange(float(self.scene.camera.height)))
+
+    def _pixel_index(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the index into the image's pixels of rows and columns from the ball's first ones."""
+        return (row + self._window.top) * self.scene.camera.width + column + self._window.left
 
     # ---- pattern ----
 
     def points(self, shown: NDArray[np.floating]) -> Points:
         """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
-        (u0, v0), (h, w) = self._low, self._ray.shape[:2]
-        row, column = np.nonzero(shown[v0 : v0 + h, u0 : u0 + w] > 0.0)
+        row, column = np.nonzero(shown[self._window.slices] > 0.0)
         grid = pixel_parts(_SUBPIXELS_OF_PATTERN)
         dray = self._dray[row, column]
         ray = self._ray[row, column][:, None] + grid @ dray.transpose(0, 2, 1)
@@ -114,7 +117,7 @@ class Surface:
         weight = np.where(hits.cosine > 0.0, 1.0, 1e-6).reshape(-1, len(grid))
         normal = np.where(np.isnan(hits.normal), self._eye, hits.normal).reshape(-1, len(grid), 3)
         return Points(
-            (row + v0) * self.scene.camera.width + column + u0,
+            self._pixel_index(row, column),
             normal.astype(np.float32),
             (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
         )
@@ -123,15 +126,13 @@ class Surface:
 
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
         """Return the shares of pixels that discs cover at time `t` (of the middle row)."""
-        R, directions = self.attitude_by_row(attitude_at, t), self.scene.disc_directions
-        if len(R) == 1:
-            turned = directions @ R[0].T
-            row, column, disc = self._near_discs(turned)
-            disc_directions, v = turned[disc], row + self._low[1]
-        else:
-            row, column, disc = self._near_discs(self._directions_by_row(attitude_at, t, directions)[0])
-            v = row + self._low[1]
-            disc_directions = (R[v] @ directions[disc, :, None])[..., 0]
+        directions = self.scene.disc_directions
+        turned, _ = self._directions_by_row(attitude_at, t, directions)
+        row, column, disc = self._near_discs(turned)
+        disc_directions = turned[disc]
+        if self.scene.readout_s > 0.0:
+            R = attitude_at(self.row_times(t))[row + self._window.top]
+            disc_directions = (R @ directions[disc, :, None])[..., 0]
         ray, dray = self._ray[row, column], self._dray[row, column]
         hits = self._hits(ray)
         g, slope = self._edge_function(hits, ray, dray, disc_directions)
@@ -148,13 +149,10 @@ class Surface:
         ):
             share[pixels] = self._covered_share(ray[pixels], dray[pixels], disc_directions[pixels], subpixels)
         keep = share > 0.0
-        return Coverage((v * self.scene.camera.width + column + self._low[0])[keep], disc[keep], share[keep])
+        return Coverage(self._pixel_index(row, column)[keep], disc[keep], share[keep])
 
     def _near_discs(self, directions: Array) -> tuple[NDArray[np.intp], ...]:
-        """Return row, column and disc, (k,) each, of all pixels that may show a disc, from the ball's first pixel on.
-
-        `directions` (n, 3) are those of the discs in `obj`.
-        """
+        """Return row and column in the window, and disc, of pixels that may show a disc at `directions`, (n, 3) obj."""
         scene = self.scene
         near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._present)
         if len(near) == 0:
@@ -170,16 +168,13 @@ class Surface:
         dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
         (a, b), (_, c) = np.linalg.inv(S).transpose(1, 2, 0)[..., None, None]
         disc, row, column = np.nonzero(a * du**2 + 2.0 * b * (du * dv) + c * dv**2 < 1.0)
-        corner = np.rint(uv - self._low).astype(int)[disc] - wide
+        corner = np.rint(uv - self._window[:2]).astype(int)[disc] - wide
         row, column = row + corner[:, 1], column + corner[:, 0]
         inside = (row >= 0) & (row < self._ray.shape[0]) & (column >= 0) & (column < self._ray.shape[1])
         return row[inside], column[inside], near[disc[inside]]
 
     def _covered_share(self, ray: Array, dray: Array, disc_directions: Array, subpixels: int) -> Array:
-        """Return the share of the ball's part of pixels that caps around `disc_directions` cover, (k,).
-
-        It is the mean over `subpixels`² parts of each.
-        """
+        """Return the share of the ball's part of pixels that discs cover, (k,): the mean over `subpixels`² parts."""
         grid = pixel_parts(subpixels)
         n = len(grid)
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
@@ -231,12 +226,12 @@ class Surface:
         times = np.full(len(directions), t) if start is None else start
         for _ in range(6):  # each round leaves the part disc speed / row speed of the error
             turned = (attitude_at(times) @ directions[..., None])[..., 0]
-            times = t + self.row_time(self._project(turned)[0][:, 1])
+            times = t + self._row_time(self._project(turned)[0][:, 1])
         return (attitude_at(times) @ directions[..., None])[..., 0], times
 
     def _project(self, directions: Array) -> tuple[Array, Array]:
         pose = self.scene.pose
-        return project(pose.to_cam(self._centre + self.scene.ball_radius * directions), self.scene.camera)
+        return project(pose.to_cam(self.centre + self.scene.ball_radius * directions), self.scene.camera)
 
     # ---- truth ----
 
@@ -244,7 +239,6 @@ class Surface:
         self,
         attitude_at: AttitudeAt,
         t: float,
-        frame: int,
         covered: Coverage,
         shown: NDArray[np.float32],
         alone: NDArray[np.float32],
@@ -252,17 +246,15 @@ class Surface:
         """Return the discs with centres on the near side at time `t`, each at the time of its own rows.
 
         `covered` is the coverage at that time. `shown` and `alone`, (h, w), are the shares of each pixel that the ball
-        fills as it is seen, and with nothing in front of it.
+        fills as it is seen, and with nothing in front of it. The result's `frame` is 0.
         """
         scene, n = self.scene, len(self.scene.disc_directions)
         directions, times = self._directions_by_row(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
         discs = np.flatnonzero((angle < self._horizon) & self._present)
-        phase = np.linspace(0.0, 2.0 * np.pi, _POLYGON_CORNERS, endpoint=False)
-        around = np.stack([np.cos(phase), np.sin(phase)], axis=1)
         middle = scene.disc_directions[discs]
         ring = np.cos(scene.disc_angle) * middle[:, None]
-        ring = ring + np.sin(scene.disc_angle) * (around @ np.swapaxes(tangent_basis(middle), 1, 2))
+        ring = ring + np.sin(scene.disc_angle) * (circle(_POLYGON_CORNERS) @ np.swapaxes(tangent_basis(middle), 1, 2))
         edges, _ = self._directions_by_row(
             attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _POLYGON_CORNERS)
         )
@@ -278,7 +270,7 @@ class Surface:
         state = np.where(visible > 0.99, np.where(cut, PARTLY_HIDDEN, VISIBLE), PARTLY_HIDDEN)
         state = np.where(visible > 0.01, state, HIDDEN).astype(np.intp)
         centre = self._project(directions[discs])[0]
-        return DiscTruth(np.full(len(discs), frame, dtype=np.intp), discs, centre, blob, area, state)
+        return DiscTruth(np.zeros(len(discs), dtype=np.intp), discs, centre, blob, area, state)
 
 
 def half_plane(g: Array, slope: Array) -> Array:

@@ -6,22 +6,22 @@ exposure. The code is independent of the particle filter's projection: it casts 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.layers import Layer, window
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
-from spheremouse.simulate.wand.path import world_to_cam
+from spheremouse.simulate.wand.path import R_CAM_WORLD
 from spheremouse.wand.ball import WandBall
 
 # rays across a pixel with an edge, in each direction; fewer where many moments are averaged
 _RAYS_ACROSS_EDGE_PIXEL = 6
 _MARGIN_PX = 2  # px around the ball
-_UP = world_to_cam() @ (0.0, -1.0, 0.0)  # cam
+_UP = R_CAM_WORLD @ (0.0, -1.0, 0.0)  # cam
 
 # Paints as on a screen, blue, green, red: paper or foam as such balls are made of
 _PAINTS = {
@@ -34,13 +34,6 @@ _PAINTS = {
     "light": (235.0, 245.0, 255.0),
 }
 _LIT, _OWN_LIGHT = ("light",), 1.1  # discs that shine by themselves, as bright as the sensor takes
-
-
-class Layer(NamedTuple):
-    """Something painted into a part of the picture."""
-
-    place: tuple[int, int]  # px, column and row of its first pixel
-    paint: NDArray[np.float32]  # (h, w, 4) light in blue, green, red, times its cover; cover 0..1
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,66 +54,54 @@ def paint_of(colour: str) -> Colour:
 
 
 def disc_paints(ball: WandBall) -> Array:
-    """(n + 1, 3): of the ball's body, then of its discs."""
+    """Return the `paints`, (n + 1, 3), of the ball's body, then of its discs."""
     return np.array([paint_of(ball.body), *(paint_of(d.colour) for d in ball.discs)])
 
 
 def paint_ball(
     ball: WandBall, paints: Array, moments: Sequence[tuple[Array, Array]], camera: InteriorOrientation, light: WandLight
 ) -> Layer | None:
-    """The ball, averaged over poses (centre (3,) m, R_cam_ball (3, 3)) in the exposure; None where it is not in view.
-
-    `paints` as of `disc_paints`.
-    """
+    """The ball, averaged over poses (centre (3,) m, R_cam_ball (3, 3)) in the exposure; None if it is out of view."""
     moments = [(c, R) for c, R in moments if c[2] > 2.0 * ball.radius]
-    windows = np.array([_window(c, ball.radius, camera) for c, _ in moments])
-    if len(windows) == 0:
+    ends = np.array([_extent(c, ball.radius, camera) for c, _ in moments]).reshape(-1, 2)
+    place = window(ends[np.isfinite(ends).all(axis=1)], _MARGIN_PX, camera)
+    if place.empty:
         return None
-    (left, top), (right, bottom) = windows[:, 0].min(axis=0), windows[:, 1].max(axis=0)
-    if right <= left or bottom <= top:
-        return None
+    uv = place.pixels()
+    ray = _rays(uv, camera)
     # rays through the corners of all pixels find those with an edge
-    v, u = np.mgrid[top : bottom + 1, left : right + 1]
-    corner = np.column_stack([u.ravel(), v.ravel()]) - 0.5
-    uv = np.column_stack([u[:-1, :-1].ravel(), v[:-1, :-1].ravel()]).astype(float)
-    out = np.zeros((bottom - top, right - left, 4), dtype=np.float32)
+    corner = _rays(place._replace(right=place.right + 1, bottom=place.bottom + 1).pixels() - 0.5, camera)
+    out = np.zeros((*uv.shape[:2], 4), dtype=np.float32)
     parts = pixel_parts(max(2, int(np.ceil(_RAYS_ACROSS_EDGE_PIXEL / np.sqrt(len(moments))))))
     for pose in moments:
-        at = _surface(ball, pose, corner, camera)[0].reshape(u.shape)
-        label, normal = _surface(ball, pose, uv, camera)
+        at = _surface(ball, pose, corner)[0].reshape(np.add(uv.shape[:2], 1))
+        label, normal = _surface(ball, pose, ray)
         around = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]], axis=-1).reshape(-1, 4)
         edge = np.any(around != label[:, None], axis=1)
         picture = _shade(ball, paints, pose[0], light, np.where(edge, -1, label), normal)
-        fine = _surface(ball, pose, (uv[edge, None] + parts).reshape(-1, 2), camera)
+        fine = _surface(ball, pose, _rays(uv.reshape(-1, 1, 2)[edge] + parts, camera))
         picture[edge] = _shade(ball, paints, pose[0], light, *fine).reshape(-1, len(parts), 4).mean(axis=1)
         out += picture.reshape(out.shape) / len(moments)
-    return Layer((int(left), int(top)), out)
+    return Layer(place, out)
 
 
-def _window(centre: Array, radius: float, camera: InteriorOrientation) -> NDArray[np.intp]:
-    """Return the first column and row that may show a sphere, and one past the last, (2, 2), within the picture.
-
-    The sphere has its centre at (3,) m in cam and `radius` m.
-    """
+def _extent(centre: Array, radius: float, camera: InteriorOrientation) -> Array:
+    """Return two corners of the picture of a sphere with its centre at (3,) m in cam, (2, 2) px."""
     middle, outline = project_sphere(centre, radius)
     uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
-    half = np.sqrt(np.diag(shape[0])) + _MARGIN_PX
-    if not np.all(np.isfinite(half)):
-        return np.zeros((2, 2), dtype=np.intp)
-    ends = np.array([np.floor(uv[0] - half), np.ceil(uv[0] + half) + 1])
-    return np.clip(ends, 0, (camera.width, camera.height)).astype(np.intp)
+    half = np.sqrt(np.diag(shape[0]))
+    return np.array([uv[0] - half, uv[0] + half])
 
 
-def _surface(
-    ball: WandBall, pose: tuple[Array, Array], uv: Array, camera: InteriorOrientation
-) -> tuple[NDArray[np.intp], Array]:
-    """Return the surfaces at pixels (n, 2), and their unit normals, (n, 3) cam.
-
-    A surface is -1 for nothing, 0 for the body and k + 1 for the k-th disc.
-    """
-    centre, rotation = pose
+def _rays(uv: Array, camera: InteriorOrientation) -> Array:
+    """Return the rays, (n, 3) cam, of pixels, (..., 2); nan where the lens has none."""
     xy, _ = unproject(uv, camera)
-    ray = np.column_stack([xy, np.ones(len(xy))])
+    return np.column_stack([xy, np.ones(len(xy))])
+
+
+def _surface(ball: WandBall, pose: tuple[Array, Array], ray: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return what rays, (n, 3) cam, hit (-1 nothing, 0 the body, k + 1 disc k), and its unit normals, (n, 3) cam."""
+    centre, rotation = pose
     depth = Sphere(centre, ball.radius, paint_of(ball.body)).hit(np.zeros(3), ray)
     hit = np.isfinite(depth)  # False for a pixel without a ray
     normal = (np.where(hit, depth, 0.0)[:, None] * ray - centre) / ball.radius

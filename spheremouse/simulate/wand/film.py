@@ -1,8 +1,4 @@
-"""A simulated camera films a wand: frames and exact truth, without files or clocks.
-
-`WandOptions` has the options of the command line. `prepare_wand` builds the scene, and `simulate_wand` films it.
-The scene and the drive are those of Grzonka 2005, chapter 4. The hand-held motion is that of a player's arm.
-"""
+"""Films of a simulated wand: `prepare_wand` builds a scene as in Grzonka 2005, chapter 4; `simulate_wand` films it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +10,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.settings import option_name
 from spheremouse.simulate.ball.film import MAX_FRAMES
-from spheremouse.simulate.ball.options import Named, check_bounds
+from spheremouse.simulate.ball.options import check_bounds
 from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import DRIVE_SPEED, HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
@@ -58,27 +54,24 @@ class WandShot:
     rotation: Array  # (k, 3, 3) R_cam_ball
 
 
-def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Named = option_name) -> WandFilm:
-    """Return scene and motion for the options. Raise ConfigurationError if they are invalid.
-
-    `ball` replaces Grzonka's. `named` returns the name of a field in its source, for example its command-line option.
-    """
-    _check_options(options, named)
+def prepare_wand(options: WandOptions, ball: WandBall | None = None) -> WandFilm:
+    """Return scene and motion, with `ball` or Grzonka's. Raise ConfigurationError if the options are invalid."""
+    _check_options(options)
     fps = options.fps or _FPS[options.motion]
     paths = _paths(options)
     length = min(p.seconds for p in paths) - options.begin
     seconds = length if options.seconds is None else options.seconds
     if seconds > length + 1e-9:
         raise ConfigurationError(
-            f"{named('seconds')}: {seconds:g} s from {options.begin:g} s on; this motion ends {length:.1f} s after that"
+            f"--seconds: {seconds:g} s from {options.begin:g} s on; this motion ends {length:.1f} s after that"
         )
     frames = max(1, int(np.floor(seconds * fps + 1e-9)))
     if frames > MAX_FRAMES:
-        raise ConfigurationError(f"{named('seconds')}: {frames} frames; at most {MAX_FRAMES} make a recording")
+        raise ConfigurationError(f"--seconds: {frames} frames; at most {MAX_FRAMES} make a recording")
     for field in ("hand", "card"):
         time = getattr(options, field)
         if time is not None and not 0.0 <= time < seconds:
-            raise ConfigurationError(f"{named(field)}: {time:g} s is not within the film's {seconds:g} s")
+            raise ConfigurationError(f"--{field}: {time:g} s is not within the film's {seconds:g} s")
     rng = np.random.default_rng([options.seed, 12])
     outdoors, (width, height) = options.light == "outdoor", options.size
     focal = _FOCAL[options.motion] * width / _REFERENCE_WIDTH_PX if options.focal is None else options.focal
@@ -98,17 +91,15 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Name
     return WandFilm(scene, fps, options.begin, frames, options.seed)
 
 
-def simulate_wand(film: WandFilm, renderer: WandRenderer | None = None) -> Iterator[WandShot]:
-    """Yield the frames with truth. Stamps start at 0. You may pass a `renderer` of the same scene."""
-    renderer = WandRenderer(film.scene) if renderer is None else renderer
+def simulate_wand(film: WandFilm) -> Iterator[WandShot]:
+    """Yield the frames with truth. Stamps start at 0."""
+    renderer = WandRenderer(film.scene)
     rng = np.random.Generator(np.random.SFC64([film.seed, 13]))
     truths = [film.truth(k) for k in range(len(film.scene.balls))]
     for index, stamp in enumerate(film.stamps.tolist()):
         image = renderer.picture(film.begin + stamp, rng)
-        position, rotation = (
-            np.array(list(parts))
-            for parts in zip(*((truth.position[index], truth.rotation[index]) for truth in truths), strict=True)
-        )
+        position = np.array([truth.position[index] for truth in truths])
+        rotation = np.array([truth.rotation[index] for truth in truths])
         yield WandShot(Frame(image, stamp, index), position, rotation)
 
 
@@ -147,12 +138,12 @@ def _passing(
     return (Passing(options.begin + at, speed * np.array([x, y, 0.0]), nearest, (0.6 if beside else 0.5) / speed),)
 
 
-def _check_options(options: WandOptions, named: Named) -> None:
+def _check_options(options: WandOptions) -> None:
     """Raise ConfigurationError if options are out of bounds or do not go together."""
-    check_bounds(options, named)
+    check_bounds(options, option_name)
     if options.fps is not None and options.blur > 1.0 / options.fps:
-        raise ConfigurationError(f"{named('blur')}: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
+        raise ConfigurationError(f"--blur: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
     if options.motion == "drive" and options.distance is not None:
-        raise ConfigurationError(f"{named('distance')}: belongs to a hand; on a drive the robot's way decides")
+        raise ConfigurationError("--distance: belongs to a hand; on a drive the robot's way decides")
     if options.motion == "drive" and options.rate is not None:
-        raise ConfigurationError(f"{named('rate')}: belongs to a hand; a drive turns in proportion to {named('speed')}")
+        raise ConfigurationError("--rate: belongs to a hand; a drive turns in proportion to --speed")

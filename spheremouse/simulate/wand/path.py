@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array, exp, log
 
-PITCH = np.radians(10.0)  # rad, the camera looks down
+R_CAM_WORLD = exp(np.radians([10.0, 0.0, 0.0]))  # the camera looks down
 CAMERA_HEIGHT = 0.95  # m above the floor (Grzonka 2005, chapter 4)
 BALL_HEIGHT = 0.152  # m above the floor, on the robot
 DRIVE_SPEED, TURN_RATE = 0.035, np.radians(50.0)  # m/s, rad/s (Grzonka 2005, chapter 4)
@@ -43,11 +43,6 @@ class WandPath(Protocol):
         ...
 
 
-def world_to_cam() -> Array:
-    """R_cam_world, (3, 3)."""
-    return exp(np.array([PITCH, 0.0, 0.0]))
-
-
 @dataclass(frozen=True, slots=True)
 class Drive:
     """Path of a robot along straight lines. At each way point it stops and turns on the spot."""
@@ -63,8 +58,7 @@ class Drive:
         rate, phase = np.moveaxis(self.bumps, -1, 0)  # (2, m)
         tilt = _WOBBLE_SIGMA_RAD * np.sum(np.sqrt(2.0 / _BUMPS) * np.sin(rate * way[:, None, None] + phase), axis=-1)
         turn = exp(yaw[:, None] * (0.0, 0.0, 1.0)) @ exp(np.column_stack([tilt[:, ::-1], np.zeros_like(yaw)]))
-        R = world_to_cam()
-        return world @ R.T, R @ TOWARDS @ turn
+        return world @ R_CAM_WORLD.T, R_CAM_WORLD @ TOWARDS @ turn
 
 
 def drive(rng: np.random.Generator, *, speed: float = 1.0, part: int = 0, of: int = 1) -> Drive:

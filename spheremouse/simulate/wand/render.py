@@ -1,7 +1,6 @@
 """Frames of a hand-held ball or a ball on a robot: moving objects painted over a background that is drawn once.
 
-Only the window with moving objects is painted again. Light is mixed linearly, blurred as by a lens, then converted to
-grey values. Sensor noise is added last.
+Light is mixed linearly, blurred as by a lens, then converted to grey values. Sensor noise is added last.
 """
 
 from dataclasses import dataclass
@@ -13,11 +12,11 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.events import draw_hand
+from spheremouse.simulate.layers import Layer, Window, lay, window
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.wand.ball import Layer, WandLight, disc_paints, paint_ball
-from spheremouse.simulate.wand.path import WandPath, world_to_cam
-from spheremouse.simulate.wand.room import Passing, background, card, hand_at, held, lay, linear_hand, robot
+from spheremouse.simulate.wand.ball import WandLight, disc_paints, paint_ball
+from spheremouse.simulate.wand.path import R_CAM_WORLD, WandPath
+from spheremouse.simulate.wand.room import Passing, background, card, hand_at, held, robot
 from spheremouse.wand.ball import WandBall
 
 _LENS_SIGMA_PX = 0.45  # px, standard deviation of a lens in focus
@@ -53,13 +52,13 @@ class WandScene:
     vary: float = 0.0  # share by which paints differ from their nominal values
 
 
-def indoor_light(gloss: float = 0.25) -> WandLight:
-    """Return lamps at the ceiling and a window at the right; `gloss` is the brightness of the ball's highlights."""
+def indoor_light() -> WandLight:
+    """Return lamps at the ceiling and a window at the right."""
     towards = np.array([[-0.35, -0.85, -0.45], [0.75, -0.35, -0.55]])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     power = np.array([[0.44, 0.47, 0.50], [0.22, 0.20, 0.19]])
     above, below = np.array([[0.52, 0.54, 0.56], [0.30, 0.33, 0.36]])
-    return WandLight(towards @ world_to_cam().T, power, above, below, gloss, polish=60.0)
+    return WandLight(towards @ R_CAM_WORLD.T, power, above, below, gloss=0.25, polish=60.0)
 
 
 def outdoor_light(rng: np.random.Generator) -> WandLight:
@@ -67,7 +66,7 @@ def outdoor_light(rng: np.random.Generator) -> WandLight:
     high, side = np.radians(rng.uniform(30.0, 60.0)), np.radians(rng.uniform(-60.0, 60.0))
     sun = np.array([[np.sin(side) * np.cos(high), -np.sin(high), -np.cos(side) * np.cos(high)]])
     above, below = np.array([[0.42, 0.36, 0.32], [0.14, 0.22, 0.20]])
-    return WandLight(sun @ world_to_cam().T, np.array([[0.95, 1.08, 1.15]]), above, below, gloss=2.5, polish=45.0)
+    return WandLight(sun @ R_CAM_WORLD.T, np.array([[0.95, 1.08, 1.15]]), above, below, gloss=2.5, polish=45.0)
 
 
 class WandRenderer:
@@ -80,7 +79,6 @@ class WandRenderer:
         self._bytes = _expose(_blur(self._still))
         self._brightness = float(np.mean(scene.light.above + 0.5 * scene.light.power.sum(axis=0)))
         self._paints = [_vary(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
-        self._hand = linear_hand(draw_hand())
         self._noise: NDArray[np.int16] | None = None
         if scene.noise > 0.0:
             shape = (scene.camera.height + _NOISE_MARGIN_PX, scene.camera.width + _NOISE_MARGIN_PX, 3)
@@ -90,13 +88,13 @@ class WandRenderer:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
         image = self._bytes.copy()
         if layers := self._layers(t):
-            window = _window(layers, self.scene.camera, _BLUR_MARGIN_PX)
-            around = _window(layers, self.scene.camera, 2 * _BLUR_MARGIN_PX)
-            part = self._still[around].copy()
+            near, around = (_touched(layers, self.scene.camera, k * _BLUR_MARGIN_PX) for k in (1, 2))
+            part = self._still[around.slices].copy()
+            u, v = around[:2]
             for layer in layers:
-                lay(part, layer, (around[1].start, around[0].start))
-            inner = tuple(slice(w.start - a.start, w.stop - a.start) for w, a in zip(window, around, strict=True))
-            image[window] = _expose(_blur(part)[inner])
+                lay(part, layer, (u, v))
+            inner = Window(near.left - u, near.top - v, near.right - u, near.bottom - v)
+            image[near.slices] = _expose(_blur(part)[inner.slices])
         if self._noise is None:
             return image
         # one field of noise at another place in each frame: independent, at a fraction of the time
@@ -119,13 +117,13 @@ class WandRenderer:
             if carried.carrier == "robot":
                 group = [*robot(c, R, camera, light), *group]
             elif carried.carrier == "stick":
-                stick_and_hand = held(self._hand, c, R, carried.ball.radius, camera, light)
+                stick_and_hand = held(c, R, carried.ball.radius, camera, light)
                 pole_faces_camera = R[2, 2] < 0.0  # the upper one; the hand is below the lower pole
                 group = [*stick_and_hand, *group] if pole_faces_camera else [*group, *stick_and_hand]
             found.append((float(c[2]), group))
         for passing in scene.hands:
             if (place := passing.at(t)) is not None:
-                found.append((place[2], [hand_at(self._hand, place, passing.velocity, camera, light)]))
+                found.append((place[2], [hand_at(place, passing.velocity, camera, light)]))
         for passing in scene.cards:
             if (place := passing.at(t)) is not None:
                 found.append((place[2], [card(place, scene.balls[0].ball.colours, camera, light)]))
@@ -147,12 +145,10 @@ class WandRenderer:
         return t + exposure * ((np.arange(n) + 0.5) / n - 0.5)
 
 
-def _window(layers: list[Layer], camera: InteriorOrientation, margin: int) -> tuple[slice, slice]:
-    """Return rows and columns that layers touch, with a margin, px."""
-    low = np.min([layer.place for layer in layers], axis=0) - margin
-    high = np.max([np.add(layer.place, layer.paint.shape[1::-1]) for layer in layers], axis=0) + margin
-    (x0, y0), (x1, y1) = np.clip([low, high], 0, (camera.width, camera.height)).tolist()
-    return slice(y0, y1), slice(x0, x1)
+def _touched(layers: list[Layer], camera: InteriorOrientation, margin: int) -> Window:
+    """Return the window of all layers, with a margin, px."""
+    left, top, right, bottom = np.array([layer.window for layer in layers]).T
+    return window(np.array([[left.min(), top.min()], [right.max() - 1, bottom.max() - 1]]), margin, camera)
 
 
 def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:

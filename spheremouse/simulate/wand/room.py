@@ -1,13 +1,14 @@
 """All parts of a wand's picture but the ball: floor, wall and objects, drawn once, and the other moving objects.
 
 Flat faces are drawn finely, farther ones first, and averaged down. A red mug and a blue book are in every room.
-Grzonka 2005, section 4.3, found such single-coloured objects harmless. A tracker has no model of these objects. A robot
-or a stick under the ball, a hand, and a card in the ball's colours move. Each has a function that takes its pose and
-returns layers to paint, or None for what is out of sight. A `light` of 1 is that of a bright room.
+Grzonka 2005, section 4.3, found such single-coloured objects harmless. A robot or a stick under the ball, a hand, and a
+card in the ball's colours move. Each has a function that takes its pose and returns layers to paint, or None for what
+is out of sight. A `light` of 1 is that of a bright room.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -16,11 +17,11 @@ from scipy.ndimage import gaussian_filter
 
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.events import hand_in_picture
+from spheremouse.simulate.layers import Layer, Window, drawn_hand, hand_layer, lay, window
 from spheremouse.simulate.light import reflectance, to_linear
-from spheremouse.simulate.shapes import Colour, Face, box, post
-from spheremouse.simulate.wand.ball import Layer, paint_of
-from spheremouse.simulate.wand.path import CAMERA_HEIGHT, world_to_cam
+from spheremouse.simulate.shapes import Colour, Face, box, circle, post, unit
+from spheremouse.simulate.wand.ball import paint_of
+from spheremouse.simulate.wand.path import CAMERA_HEIGHT, R_CAM_WORLD
 
 _SUBPIXELS = 4  # subpixels across a pixel where things are drawn
 _FRACTIONAL_BITS = 4  # bits of the fixed point numbers that OpenCV draws with
@@ -30,7 +31,7 @@ _WALL = 6.2  # m, world z
 _LAMP = np.array([-0.3, -0.85, -0.43])  # towards the light, world
 _LINES = (0.15, 0.10, 0.004)  # m: between lines across and along the field (Grzonka 2005, fig. 9), and their width
 
-Painted = tuple[Array, Colour]  # corners of a polygon, (k, 3) m, cam, and its light: blue, green, red; linear
+Painted = tuple[Array, Array]  # corners of a polygon, (k, 3) m, cam, and its light, (3,): blue, green, red; linear
 
 
 def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: int = 1) -> Layer | None:
@@ -40,18 +41,17 @@ def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: i
     nothing is in the picture.
     """
     seen = [(project(corners, camera)[0], colour) for corners, colour in faces if np.all(corners[:, 2] > _MIN_DEPTH_M)]
-    if not seen or not all(np.all(np.isfinite(outline)) for outline, _ in seen):
+    if not seen:
         return None
-    every, limit = np.concatenate([outline for outline, _ in seen]), (camera.width, camera.height)
-    low = np.clip(np.floor(every.min(axis=0)).astype(int) - margin, 0, limit)
-    high = np.clip(np.ceil(every.max(axis=0)).astype(int) + margin + 1, 0, limit)
-    if np.any(high <= low):
+    place = window(np.concatenate([outline for outline, _ in seen]), margin, camera)
+    if place.empty:
         return None
-    w, h = (high - low).tolist()
+    left, top, right, bottom = place
+    w, h = right - left, bottom - top
     drawn = np.zeros((h * _SUBPIXELS, w * _SUBPIXELS), dtype=np.uint8)
     lights = np.zeros((len(seen) + 1, 4), dtype=np.float32)
     for index, (outline, colour) in enumerate(seen, start=1):
-        fine = (outline - low + 0.5) * _SUBPIXELS - 0.5
+        fine = (outline - (left, top) + 0.5) * _SUBPIXELS - 0.5
         cv2.fillPoly(
             drawn, [np.rint(fine * (1 << _FRACTIONAL_BITS)).astype(np.int32)], (index,), shift=_FRACTIONAL_BITS
         )
@@ -61,30 +61,11 @@ def paint_faces(faces: Iterable[Painted], camera: InteriorOrientation, margin: i
     mixed |= drawn[_SUBPIXELS - 1 :: _SUBPIXELS, _SUBPIXELS - 1 :: _SUBPIXELS] != first
     paint = lights[first]
     paint[mixed] = lights[drawn.reshape(h, _SUBPIXELS, w, _SUBPIXELS).transpose(0, 2, 1, 3)[mixed]].mean(axis=(1, 2))
-    return Layer((int(low[0]), int(low[1])), paint)
-
-
-def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
-    """Paint a layer in place over `picture`, (h, w, 3) linear light, the part with its first pixel at `origin` (px).
-
-    Clip the layer to that part.
-    """
-    x, y = layer.place[0] - origin[0], layer.place[1] - origin[1]
-    h, w = layer.paint.shape[:2]
-    x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + w, picture.shape[1]), min(y + h, picture.shape[0])
-    if x1 > x0 and y1 > y0:
-        paint = layer.paint[y0 - y : y1 - y, x0 - x : x1 - x]
-        part = picture[y0:y1, x0:x1]
-        part *= 1.0 - paint[..., 3:]
-        part += paint[..., :3]
+    return Layer(place, paint)
 
 
 def _farthest_first(faces: Iterable[Painted]) -> list[Painted]:
     return sorted(faces, key=lambda face: -float(np.linalg.norm(face[0].mean(axis=0))))
-
-
-def _times(light: float, colour: Colour) -> Colour:
-    return light * colour[0], light * colour[1], light * colour[2]
 
 
 # ---- objects that do not move ----
@@ -103,13 +84,14 @@ def background(
     things += [[Face(np.array([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]), grey)] for x0, x1, z0, z1 in lines]
     if clutter:
         things += _mug_and_book(rng)
-    R = world_to_cam()
     for thing in things:  # one by one: an object hides those behind it
         faces = []
         for face in thing:
             toward = face.normal() @ _LAMP * (1.0 if face.normal() @ face.corners.mean(axis=0) < 0.0 else -1.0)
-            faces.append((face.corners, _times(0.60 + 0.40 * max(float(toward), 0.0), face.colour)))
-        layer = paint_faces([(corners @ R.T, colour) for corners, colour in _farthest_first(faces)], camera)
+            faces.append(
+                (face.corners @ R_CAM_WORLD.T, np.multiply(0.60 + 0.40 * max(float(toward), 0.0), face.colour))
+            )
+        layer = paint_faces(_farthest_first(faces), camera)
         if layer is not None:
             lay(picture, layer)
     return picture
@@ -118,9 +100,8 @@ def background(
 def _ground(camera: InteriorOrientation, outdoors: bool, rng: np.random.Generator) -> NDArray[np.float32]:
     """Floor and wall, or lawn and sky, with some texture."""
     shape = (camera.height, camera.width)
-    v, u = np.mgrid[0 : shape[0], 0 : shape[1]]
-    xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
-    rays = np.column_stack([xy, np.ones(len(xy))]) @ world_to_cam()  # to world
+    xy, _ = unproject(Window(0, 0, camera.width, camera.height).pixels(), camera)
+    rays = np.column_stack([xy, np.ones(len(xy))]) @ R_CAM_WORLD  # to world
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = CAMERA_HEIGHT / rays[:, 1]
         at = rays[:, [0, 2]] * depth[:, None]
@@ -218,7 +199,7 @@ _STICK = (0.27, 0.009, 0.011)  # m: length, radius at the ball and in the hand
 _BLACK, _GREY, _WOOD = (reflectance(c) for c in ((30.0, 30.0, 30.0), (120.0, 122.0, 124.0), (96.0, 146.0, 190.0)))
 _CARD = 0.045  # m, half of a side
 _SHADOW_Z = -0.152  # m, of the floor
-_ROUND = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+_ROUND = circle(24)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,73 +225,63 @@ def _rectangle(low: Sequence[float], high: Sequence[float], z: float) -> Array:
 def robot(centre: Array, rotation: Array, camera: InteriorOrientation, light: float) -> list[Layer | None]:
     """The robot under a ball at `centre` (3,) m in cam with R_cam_ball (3, 3), over its shadow on the floor."""
     foot = _rectangle(*_BODY, _SHADOW_Z) * (1.15, 1.25, 1.0)
-    shadow = paint_faces([(foot @ rotation.T + centre, (0.0, 0.0, 0.0))], camera, margin=12)
+    shadow = paint_faces([(foot @ rotation.T + centre, np.zeros(3))], camera, margin=12)
     if shadow is not None:
         soft = np.asarray(cv2.GaussianBlur(shadow.paint, (0, 0), 4.0), dtype=np.float32)
-        shadow = Layer(shadow.place, np.float32(0.7) * soft)
-    faces = [(face.corners, _BLACK) for face in box(*_BODY, _BLACK)]
-    faces.append((_rectangle(*_PANEL, _BODY[1][2] + 0.001), _GREY))
-    radius, hub = _WHEEL
+        shadow = Layer(shadow.window, np.float32(0.7) * soft)
+
+    def lit(faces: list[Face]) -> list[Painted]:
+        """Faces in the ball's frame, brighter if they lie level."""
+        colours = [np.multiply(light * (0.7 + 0.3 * abs(float(face.normal()[2]))), face.colour) for face in faces]
+        return [(f.corners @ rotation.T + centre, colour) for f, colour in zip(faces, colours, strict=True)]
+
+    wheels = _farthest_first(lit(_wheels()))
+    outer = len(wheels) // 2  # those on the far side are behind the body
+    body = _farthest_first(lit(box(*_BODY, _BLACK)))
+    panel = lit([Face(_rectangle(*_PANEL, _BODY[1][2] + 0.001), _GREY)])
+    return [shadow, paint_faces([*wheels[:outer], *body, *panel, *wheels[outer:]], camera)]
+
+
+@cache
+def _wheels() -> list[Face]:
+    """Tyres and hubs, in the ball's frame."""
+    faces, (radius, hub) = [], _WHEEL
     for y in _WHEELS[1]:
         for x in _WHEELS[0]:
             for r, colour, out in ((radius, _BLACK, 0.0), (0.4 * radius, _GREY, 0.001)):
-                rim = [x + r * np.cos(_ROUND), np.full_like(_ROUND, y + np.sign(y) * out), hub + r * np.sin(_ROUND)]
-                faces.append((np.stack(rim, axis=-1), colour))
-    lit = []
-    for flat, colour in faces:
-        corners = flat @ rotation.T + centre
-        normal = np.cross(corners[1] - corners[0], corners[2] - corners[1])
-        normal /= np.linalg.norm(normal)
-        lit.append((corners, _times(light * (0.7 + 0.3 * abs(float(normal @ rotation[:, 2]))), colour)))
-    wheels = _farthest_first(lit[7:])
-    outer = len(wheels) // 2  # those on the far side are behind the body
-    return [shadow, paint_faces([*wheels[:outer], *_farthest_first(lit[:6]), lit[6], *wheels[outer:]], camera)]
+                rim = np.insert((x, hub) + r * _ROUND, 1, y + np.sign(y) * out, axis=1)
+                faces.append(Face(rim, colour))
+    return faces
 
 
 def held(
-    drawing: NDArray[np.float32],
-    centre: Array,
-    rotation: Array,
-    radius: float,
-    camera: InteriorOrientation,
-    light: float,
+    centre: Array, rotation: Array, radius: float, camera: InteriorOrientation, light: float
 ) -> list[Layer | None]:
-    """The stick from the ball's lower pole down to the hand, and that hand, from `linear_hand`.
-
-    The ball has its centre at (3,) m in cam, R_cam_ball (3, 3) and `radius` m.
-    """
+    """The stick from the lower pole of a ball, at (3,) m in cam with R_cam_ball (3, 3), to a hand, and that hand."""
     length, thin, thick = _STICK
     down = -rotation[:, 2]
     top, end = centre + 0.9 * radius * down, centre + (radius + length) * down
-    across = np.cross(down, 0.5 * (top + end))
-    across /= np.linalg.norm(across)
+    across = unit(np.cross(down, 0.5 * (top + end)))
     outline = np.array([top + thin * across, end + thick * across, end - thick * across, top - thin * across])
     palm = centre - (radius + length - 0.05) * rotation[:, 2]
-    stick = paint_faces([(outline, _times(light, _WOOD))], camera)
-    return [stick, hand_at(drawing, palm, rotation[:, 2], camera, 1.0)]
+    stick = paint_faces([(outline, np.multiply(light, _WOOD))], camera)
+    return [stick, hand_at(palm, rotation[:, 2], camera, 1.0)]
 
 
-def hand_at(
-    drawing: NDArray[np.float32], palm: Array, fingers: Array, camera: InteriorOrientation, light: float
-) -> Layer | None:
-    """Place a hand from `linear_hand`, with its palm at (3,) m in cam. `fingers` (3,) is their direction in cam.
-
-    None also if a part of the hand is nearer than 10 cm.
-    """
-    up = fingers / np.linalg.norm(fingers) * (1.0, 1.0, 0.0)
-    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
-    placed = hand_in_picture(drawing, palm, np.array([[-up[1], up[0], 0.0], up]), camera)
-    if placed is None:
-        return None
-    placed.paint[..., :3] *= light
-    return Layer((placed.place[1].start, placed.place[0].start), placed.paint)
+def hand_at(palm: Array, fingers: Array, camera: InteriorOrientation, light: float) -> Layer | None:
+    """A hand with its palm at (3,) m in cam, and its fingers in a direction (3,) of cam; None as by `hand_layer`."""
+    up = unit(fingers) * (1.0, 1.0, 0.0)
+    up = unit(up) if np.linalg.norm(up) > 0.1 else np.array([0.0, -1.0, 0.0])
+    layer = hand_layer(_linear_hand(), palm, np.array([[-up[1], up[0], 0.0], up]), camera)
+    if layer is not None:
+        layer.paint[..., :3] *= light
+    return layer
 
 
-def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert a drawing of `draw_hand`, (h, w, 4), from screen grey values to linear light. Its blue sleeve gets grey.
-
-    A passing object has one colour of the ball only.
-    """
+@cache
+def _linear_hand() -> NDArray[np.float32]:
+    """Return `drawn_hand` in linear light, its blue sleeve in grey: a hand has one colour of the ball only."""
+    drawing = drawn_hand()
     cover = drawing[..., 3:]
     grey = np.divide(drawing[..., :3], cover, out=np.zeros_like(drawing[..., :3]), where=cover > 1e-3) / 255.0
     grey[grey[..., 0] > grey[..., 2]] = 0.2
@@ -318,14 +289,11 @@ def linear_hand(drawing: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def card(centre: Array, colours: tuple[str, ...], camera: InteriorOrientation, light: float) -> Layer | None:
-    """Draw a distractor: a white card that faces the camera, with discs in the colours and layout of a ball.
-
-    Its centre is at (3,) m in cam.
-    """
-    faces = [(_CARD * _rectangle((-1.0, -1.0), (1.0, 1.0), 0.0) + centre, _times(light, paint_of("white")))]
-    circle = np.stack([np.cos(_ROUND), np.sin(_ROUND), np.zeros_like(_ROUND)], axis=-1)
+    """A distractor: a white card at (3,) m in cam that faces it, with discs in the colours and layout of a ball."""
+    faces = [(_CARD * _rectangle((-1.0, -1.0), (1.0, 1.0), 0.0) + centre, np.multiply(light, paint_of("white")))]
     places = ((-0.2, -0.62, 0.21), (-0.15, 0.12, 0.36), (0.62, -0.40, 0.16), (0.68, 0.22, 0.22), (-0.78, 0.1, 0.2))
     for k, (x, y, size) in enumerate(places):
-        paint = _times(light, paint_of(colours[k % len(colours)]))
-        faces.append((centre + _CARD * np.array([x, y, 0.0]) + _CARD * size * circle, paint))
+        paint = np.multiply(light, paint_of(colours[k % len(colours)]))
+        disc = np.insert((x, y) + size * _ROUND, 2, 0.0, axis=1)
+        faces.append((centre + _CARD * disc, paint))
     return paint_faces(faces, camera)

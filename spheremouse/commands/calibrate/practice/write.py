@@ -11,6 +11,7 @@ from spheremouse.calibrate.board import NAME, Pattern, save_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball import board
 from spheremouse.simulate.ball.film import Simulation
 from spheremouse.simulate.ball.profile import shown_to_axes
 from spheremouse.simulate.ball.render import RenderOptions
@@ -52,8 +53,7 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
             raise CalibrationError(f"{path.name}: cannot be written; is the disk full?")
         yield path
     (folder / "truth.json").write_text(json.dumps(truth_of(stills), indent=1) + "\n", encoding="utf-8")
-    board = stills.board
-    save_board(folder / NAME, Pattern(board.columns, board.rows, board.square))
+    save_board(folder / NAME, Pattern(board.COLUMNS, board.ROWS, board.SQUARE))
     (folder / "device.yaml").write_text(device_yaml(stills), encoding="utf-8")
 
 
