@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import shared
 from experiments.kit.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 
 from spheremouse.commands import match as cli_match
@@ -41,22 +42,12 @@ def log(film, tmp_path):
     return path
 
 
-@pytest.fixture(scope="module")
-def remembered():
-    return {}
-
-
-@pytest.fixture(autouse=True)
-def _tracked_once(monkeypatch, remembered):
-    really = cli_match.track_recording
-
-    def tracked(recording, plan):
-        key = (recording, plan.configuration.pose)
-        if key not in remembered:
-            remembered[key] = really(recording, plan)
-        return remembered[key]
-
-    monkeypatch.setattr(cli_match, "track_recording", tracked)
+@pytest.fixture(scope="module", autouse=True)
+def _tracked_once():
+    once = shared(cli_match.track_recording, lambda recording, plan: (recording, plan.configuration.pose))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli_match, "track_recording", once)
+        yield
 
 
 def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, log, tmp_path):
@@ -68,17 +59,12 @@ def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, lo
     motion = config.load(out, Configuration).motion
     np.testing.assert_allclose(motion.matrix(0.6)[:2], MATRIX, atol=5.0)
     assert motion.matrix(0.6)[2, 1] == pytest.approx(600.0, rel=1e-3)
+    said, _ = spheremouse.succeed("match", film, log, "--config", out)
+    assert said.endswith("the settings are right already\n")
     text = out.read_text()
     assert f"{out}: there already" in spheremouse.fail("match", film, log, "--out", out)
     assert out.read_text() == text
     spheremouse.succeed("match", film, log, "--out", out, "--force")
-
-
-def test_with_these_settings_there_is_nothing_to_set(spheremouse, film, log, tmp_path):
-    out = tmp_path / "scale.yaml"
-    assert spheremouse("match", film, log, "--out", out)[0] == 0
-    said, _ = spheremouse.succeed("match", film, log, "--config", out)
-    assert said.endswith("the settings are right already\n")
 
 
 def test_a_log_of_another_time_writes_nothing(spheremouse, film, tmp_path):
@@ -91,13 +77,11 @@ def test_a_log_of_another_time_writes_nothing(spheremouse, film, tmp_path):
 
 
 def test_unusable_input_is_one_line_and_exit_code_2(spheremouse, film, log, tmp_path):
-    empty = tmp_path / "empty.csv"
+    empty, short, broken = (tmp_path / f"{name}.csv" for name in ("empty", "short", "broken"))
     seen = read_log(log)
     save(empty, replace(seen, counts=0.0 * seen.counts))
-    short = tmp_path / "short.csv"
     keep = seen.stamp < seen.stamp[0] + 2.0
     save(short, replace(seen, stamp=seen.stamp[keep], counts=seen.counts[keep]))
-    broken = tmp_path / "broken.csv"
     broken.write_text("t,dx,dy\n1,2\n")
     for words, what in (
         ((film, empty), f"{empty}: no motion in it"),

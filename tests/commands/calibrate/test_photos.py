@@ -2,6 +2,8 @@
 
 import json
 import shlex
+from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -34,15 +36,14 @@ def run(*words, command="photos"):
     return CliRunner().invoke(app, ["calibrate", command, *map(str, words)], catch_exceptions=False)
 
 
-def film(path, poses, rest=2):
-    """A video that rests at each place, and moves between them."""
+def film(path, poses):
+    """A video of two pictures at each place, and one on the way to the next."""
     rng = np.random.default_rng(3)
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, SIZE)
     assert writer.isOpened()
     for R, t in zip(*poses, strict=True):
         image = picture(R, t)
-        for k in range(rest + 1):
-            frame = np.roll(image, 6, axis=1) if k == rest else image
+        for frame in (image, image, np.roll(image, 6, axis=1)):
             noisy = np.clip(np.rint(frame + rng.normal(0.0, 1.0, frame.shape)), 0, 255).astype(np.uint8)
             writer.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
     writer.release()
@@ -68,18 +69,17 @@ def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_p
     assert not (folder / "config.yaml").exists()  # a film is no camera to come back to
 
 
-def test_controls_with_which_photos_were_taken_are_kept(tmp_path, poses):
+@pytest.fixture(scope="module")
+def source(tmp_path_factory, poses):
+    """A film of three places."""
     R, t = poses
-    source = film(tmp_path / "f.mkv", (R[:1], t[:1]))
-    run("--for", "camera", tmp_path, *BOARD, "--source", source, "--set", "camera.focus=30")
+    return film(tmp_path_factory.mktemp("film") / "f.mkv", (R[:3], t[:3]))
+
+
+def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, source):
+    result = run("--for", "camera", tmp_path, *BOARD, "--source", source, "--set", "camera.focus=30")
     kept = load(tmp_path / "config.yaml", Configuration)
     assert (kept.camera.focus, kept.source) == (30, None)
-
-
-def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, poses):
-    R, t = poses
-    source = film(tmp_path / "f.mkv", (R[:3], t[:3]))
-    result = run("--for", "camera", tmp_path, *BOARD, "--source", source)
     assert "3 photos so far; tilt the board" in result.stdout
     assert f"go on: spheremouse calibrate photos {tmp_path} --for camera --source {source}" in result.stdout
     assert "or go on with these: spheremouse calibrate camera" in result.stdout
@@ -89,9 +89,8 @@ def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, poses):
     assert not coverage.enough(coverage.coverage(SIZE, [], np.empty((0, 3, 3))))
 
 
-def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, poses):
-    R, t = poses
-    source, shown = film(tmp_path / "f.mkv", (R[:3], t[:3])), tmp_path / "shown.jpg"
+def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, source):
+    shown = tmp_path / "shown.jpg"
     with pytest.raises(CalibrationError, match="--json"):
         run("--for", "camera", tmp_path, *BOARD, "--source", source, "--picture", shown)
     result = run("--for", "camera", tmp_path, *BOARD, "--source", source, "--json", "--picture", shown)
@@ -104,20 +103,16 @@ def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, poses):
     assert cv2.imread(str(shown)).shape == (SIZE[1], SIZE[0], 3)
 
 
-def test_a_film_that_breaks_off_keeps_its_photos_and_says_so(tmp_path, poses):
-    R, t = poses
-    source = film(tmp_path / "f.mkv", (R[:3], t[:3]), rest=4)
-    path = tmp_path / "f.mkv"
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+def test_a_film_that_breaks_off_keeps_its_photos_and_says_so(tmp_path, source):
+    whole = Path(source.removeprefix("video:")).read_bytes()
+    (tmp_path / "f.mkv").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(SourceError, match=r"truncated or damaged there; \d photos? in .* kept, and the same command"):
-        run("--for", "camera", tmp_path, *BOARD, "--source", source)
+        run("--for", "camera", tmp_path, *BOARD, "--source", f"video:{tmp_path / 'f.mkv'}")
     assert list((tmp_path / "board").iterdir())
 
 
-def test_where_nothing_can_be_taken_the_reason_is_told(tmp_path, poses):
-    R, t = poses
-    source = film(tmp_path / "f.mkv", (R[:1], t[:1]))
-    with pytest.raises(CalibrationError, match="no photo in 3 frames: most often it shows 9x6 corners of a chessboard"):
+def test_where_nothing_can_be_taken_the_reason_is_told(tmp_path, source):
+    with pytest.raises(CalibrationError, match="no photo in 9 frames: most often it shows 9x6 corners of a chessboard"):
         run("--for", "camera", tmp_path, "--board", "7x5", "--square", "30mm", "--source", source)
     assert not (tmp_path / NAME).exists()
 
@@ -138,13 +133,11 @@ def test_what_comes_before_is_named(tmp_path):
         run("--for", "camera", folder)
 
 
-def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, poses):
-    from dataclasses import replace
-
+def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, source):
     (tmp_path / "device.yaml").write_text(device_template())
     save_camera(tmp_path / "camera.yaml", replace(CAMERA, width=1280, height=960))
     with pytest.raises(CalibrationError, match=r"is for the mode 1280x960, the camera gives 640x480"):
-        run("--for", "device", tmp_path, "--source", film(tmp_path / "f.mkv", poses))
+        run("--for", "device", tmp_path, "--source", source)
 
 
 @pytest.fixture

@@ -22,9 +22,9 @@ from spheremouse.wand.build import build
 
 @pytest.fixture(scope="module")
 def hand(tmp_path_factory):
-    """A second of a ball in a hand."""
+    """Six pictures of a ball in a hand."""
     path = tmp_path_factory.mktemp("wand") / "hand"
-    list(write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=1.0, size=(640, 480)))))
+    list(write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=0.4, size=(640, 480)))))
     return path
 
 

@@ -81,70 +81,61 @@ def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     assert tree(root) == once
 
 
-def modes(root):
-    return {p.relative_to(root): p.stat().st_mode & 0o777 for p in root.rglob("*") if not p.is_symlink()}
-
-
 @pytest.mark.parametrize("umask", [0o077, 0o000])
 def test_what_is_placed_may_be_read_by_all_whatever_the_umask_and_what_was_there_stays_as_it_was(root, umask):
     before = root / "etc" / "X11"
     before.mkdir(parents=True)
     before.chmod(0o750)
-    asked = os.umask(umask)
-    try:
+    with under_umask(umask):
         call("install", root=root)
-    finally:
-        found = os.umask(asked)
-    assert found == umask
-    placed = modes(root)
-    assert placed.pop(before.relative_to(root)) == 0o750
-    assert placed.pop(before.parent.relative_to(root)) & 0o700 == 0o700
-    assert {(root / p).is_dir(): mode for p, mode in placed.items()} == {True: 0o755, False: 0o644}
-    assert set(placed.values()) == {0o755, 0o644}
+        assert os.umask(umask) == umask
+    placed = {path: path.stat().st_mode & 0o777 for path in root.rglob("*") if not path.is_symlink()}
+    assert placed.pop(before) == 0o750
+    assert placed.pop(before.parent) & 0o700 == 0o700
+    assert {(path.is_dir(), mode) for path, mode in placed.items()} == {(True, 0o755), (False, 0o644)}
 
 
 def test_uninstalling_leaves_nothing_where_nobody_changed_anything(root):
-    (root / "etc").mkdir()
-    (root / "etc" / "hostname").write_text("cabinet\n")
-    before = tree(root)
+    (root / "hostname").write_text("cabinet\n")
     call("install", root=root)
     assert "the service is gone" in call("uninstall", root=root)
-    assert tree(root) == before
+    assert tree(root) == {"hostname": "cabinet\n"}
     assert "there was no service" in call("uninstall", root=root)
 
 
-@pytest.mark.parametrize("purge", [False, True])
-def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
+def test_configuration_calibration_and_map_stay_unless_purged(root):
     call("install", root=root)
-    kept = {"etc/spheremouse/config.yaml": "schema: 2\n", "etc/spheremouse/rig.yaml": "rig"}
-    kept["var/lib/spheremouse/rig.map.yaml"] = "map"
-    kept["etc/systemd/system/spheremouse.service.d/override.conf"] = "[Service]\n"  # of `systemctl edit`
+    kept = {
+        "etc/spheremouse/config.yaml": "schema: 2\n",
+        "etc/spheremouse/rig.yaml": "rig",
+        "var/lib/spheremouse/rig.map.yaml": "map",
+        "etc/systemd/system/spheremouse.service.d/override.conf": "[Service]\n",  # of `systemctl edit`
+    }
     for name, text in kept.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    said = call("uninstall", *(["--purge"] if purge else []), root=root)
-    assert tree(root) == ({} if purge else kept)
-    assert all(str(root / name) in said for name in kept) or purge
+    said = call("uninstall", root=root)
+    assert tree(root) == kept
+    assert all(str(root / name) in said for name in kept)
+    call("uninstall", "--purge", root=root)
+    assert tree(root) == {}
 
 
 def test_a_service_that_was_disabled_stays_disabled(root):
     call("install", root=root)
     Place(root).link.unlink()
-    (root / UNIT).unlink(missing_ok=False)
     (root / UNIT).write_text("[Service]\nExecStart=/bin/true\n")
     call("install", root=root)
     assert not Place(root).link.is_symlink()
 
 
-@pytest.mark.parametrize("command", ["install", "uninstall"])
-def test_a_dry_run_says_all_and_does_nothing(root, command):
-    if command == "uninstall":
+def test_a_dry_run_says_all_and_does_nothing(root):
+    for command in ("install", "uninstall"):
+        before = tree(root)
+        said = call(command, "--dry-run", root=root)
+        assert tree(root) == before
+        assert all(str(path) in said for _, path in Place(root).files())
         call("install", root=root)
-    before = tree(root)
-    said = call(command, "--dry-run", root=root)
-    assert tree(root) == before
-    for _, path in Place(root).files():
-        assert str(path) in said
 
 
 def test_a_users_own_service_goes_to_the_home_alone_in_folders_closed_to_others_whatever_the_umask(root, home):
@@ -225,23 +216,14 @@ def test_allowed_addresses_are_in_a_file_beside_the_unit_until_others_are_given(
     assert tree(root) == before
 
 
-@pytest.mark.parametrize(
-    ("address", "why"),
-    [
-        ("192.168.1.300", "is neither an IP address nor a network"),
-        ("192.168.1.7/24", "has bits after its prefix"),
-        ("cabinet.local", "is neither an IP address nor a network"),
-        ("10.0.0.1\nDeviceAllow=/dev/mem", "is neither an IP address nor a network"),
-        ("10.0.0.1\n", "is neither an IP address nor a network"),
-        ("fe80::1%1\nDeviceAllow=/dev/mem", "is neither an IP address nor a network"),
-        ("", "is neither an IP address nor a network"),
-    ],
-)
-def test_another_address_is_refused_and_nothing_is_placed(root, address, why):
-    with pytest.raises(ServiceError) as e:
-        call("install", "--allow", "10.0.0.1", "--allow", address, root=root)
-    assert e.value.problem == f"--allow {address}: {why}"
-    assert e.value.hint == "write for example 192.168.1.7, 192.168.1.0/24 or multicast"
+def test_another_address_is_refused_and_nothing_is_placed(root):
+    lines = ("10.0.0.1\n", "10.0.0.1\nDeviceAllow=/dev/mem", "fe80::1%1\nDeviceAllow=/dev/mem")
+    for address in ("192.168.1.300", "192.168.1.7/24", "cabinet.local", "", *lines):
+        with pytest.raises(ServiceError) as e:
+            call("install", "--allow", "10.0.0.1", "--allow", address, root=root)
+        why = "has bits after its prefix" if "/24" in address else "is neither an IP address nor a network"
+        assert e.value.problem == f"--allow {address}: {why}"
+        assert e.value.hint == "write for example 192.168.1.7, 192.168.1.0/24 or multicast"
     assert tree(root) == {}
 
 
@@ -267,33 +249,26 @@ def test_the_unit_starts_the_version_in_use_by_the_link_that_upgrades_move(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("folder", "how"),
+    ("folder", "python", "how"),
     [
-        ("/home/a/venv", "sudo bash service/install.sh"),
-        ("/root/venv", "sudo bash service/install.sh"),
-        ("/tmp/venv", "sudo bash service/install.sh"),
-        ("/home/a/.local/share/pipx/venvs/spheremouse", "PIPX_HOME=/opt/pipx"),
+        *((folder, "/usr/bin/python3", "sudo bash service/install.sh") for folder in ("/home/a", "/root", "/tmp/venv")),
+        ("/home/a/.local/share/pipx/venvs/spheremouse", "/usr/bin/python3", "PIPX_HOME=/opt/pipx"),
+        # of pyenv or uv: systemd would say 203/EXEC
+        ("/opt/venv", "/home/a/python3.12", "cannot read the Python of /opt/venv/bin, /home/a/python3.12; make"),
     ],
 )
-def test_a_program_that_the_service_cannot_reach_is_told_and_how_to_install_it_for_all(folder, how, monkeypatch):
+def test_a_program_that_the_service_cannot_reach_is_told_and_how_to_install_it_for_all(
+    folder, python, how, monkeypatch
+):
     monkeypatch.setattr(sys, "prefix", folder)
+    monkeypatch.setattr(sys, "executable", python)
     monkeypatch.setattr(Path, "exists", lambda path: True)
     path, why = service.executable(Place())
     assert path == f"{folder}/bin/spheremouse"
     assert "own user cannot read" in why
     assert how in why
     assert why.endswith("make it your own service: spheremouse service install --user")
-    assert service.executable(Place(user=True)) == (f"{folder}/bin/spheremouse", "")
-
-
-def test_a_python_in_a_home_folder_is_told(monkeypatch):
-    """Of an environment in /opt that was made with pyenv's or uv's Python: systemd would say 203/EXEC."""
-    monkeypatch.setattr(sys, "prefix", "/opt/venv")
-    monkeypatch.setattr(sys, "executable", "/home/a/.pyenv/bin/python3.12")
-    monkeypatch.setattr(Path, "exists", lambda path: True)
-    assert "cannot read the Python of /opt/venv/bin, /home/a/.pyenv/bin/python3.12" in service.executable(Place())[1]
-    monkeypatch.setattr(sys, "executable", "/usr/bin/python3.12")
-    assert service.executable(Place()) == ("/opt/venv/bin/spheremouse", "")
+    assert service.executable(Place(user=True)) == (path, "")
 
 
 def test_a_folder_closed_to_others_is_told(monkeypatch, tmp_path):
@@ -321,11 +296,14 @@ def test_status_and_dry_run_work_wherever_the_program_lies(root, monkeypatch):
     assert "not there; move it" in status(1, "--root", root)
 
 
-@pytest.mark.parametrize("folder", ["/opt/my venv", "/opt/100%", '/opt/a"b', "/opt/a\nb"])
-def test_a_path_that_systemd_would_read_otherwise_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(sys, "prefix", folder)
+def test_a_path_that_systemd_would_read_otherwise_is_refused(monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
     monkeypatch.setattr(Path, "exists", lambda path: True)
-    assert "without spaces" in service.executable(Place())[1]
+    for folder in ("/opt/my venv", "/opt/100%", '/opt/a"b', "/opt/a\nb"):
+        monkeypatch.setattr(sys, "prefix", folder)
+        assert "without spaces" in service.executable(Place())[1]
+    monkeypatch.setattr(sys, "prefix", "/opt/venv")
+    assert service.executable(Place()) == ("/opt/venv/bin/spheremouse", "")
 
 
 # ---- what is in the files ----
@@ -338,9 +316,8 @@ def unit(name="systemd/spheremouse.service"):
 @pytest.mark.parametrize("name", ["systemd/spheremouse.service", "systemd/spheremouse-user.service"])
 def test_before_the_calibration_nothing_is_started_again_and_again(name):
     """And what is started is the daemon whatever the source: without --realtime a recording's run is never ready."""
-    folder = re.search(r"--config (\S+)/config\.yaml$", unit(name), re.M)
-    assert folder is not None
-    assert f"\nAssertPathExists={folder[1]}/rig.yaml\n" in unit(name).partition("[Service]")[0]
+    (folder,) = re.findall(r"--config (\S+)/config\.yaml$", unit(name), re.M)
+    assert f"\nAssertPathExists={folder}/rig.yaml\n" in unit(name).partition("[Service]")[0]
     assert re.search(r"^ExecStart=\S+ run --realtime ", unit(name), re.M)
 
 
@@ -362,9 +339,8 @@ def test_names_agree_with_the_code():
     assert 'Option "AccelProfile" "flat"' in xorg
     rules = (service_files() / "udev/70-spheremouse.rules").read_text()
     boot = (service_files() / "firmware/pico/boot.py").read_text()
-    product = re.search(r'set_usb_identification\("\w+", "(\w+)"\)', boot)
-    assert product is not None
-    assert f'ENV{{ID_MODEL}}!="{product[1]}*"' in rules
+    (product,) = re.findall(r'set_usb_identification\("\w+", "(\w+)"\)', boot)
+    assert f'ENV{{ID_MODEL}}!="{product}*"' in rules
 
 
 def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
@@ -429,10 +405,8 @@ def test_the_unit_is_closed(tmp_path):
     code, said = judged("systemd-analyze", "security", "--offline=true", f"--threshold={10 * LIMIT:.0f}", str(path))
     if "offline" in said and "nrecognized" in said:
         pytest.skip("this systemd-analyze has no --offline")
-    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
-    assert found is not None, said
-    assert float(found[1]) <= LIMIT
-    assert code == 0
+    (exposure,) = re.findall(r"Overall exposure level for \S+: ([\d.]+)", said)
+    assert (float(exposure) <= LIMIT, code) == (True, 0)
 
 
 def test_udev_finds_nothing_wrong_with_the_rules():
@@ -450,16 +424,14 @@ def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
     folder = service_files() / "systemd"
     code, said = judged("systemd-sysusers", f"--root={tmp_path}", str(folder / "sysusers.conf"))
     assert code == 0, said
-    passwd = (tmp_path / "etc/passwd").read_text()
-    uid = re.search(r"^spheremouse:[^:]*:(\d+):", passwd, re.M)
-    assert uid is not None
+    (uid,) = re.findall(r"^spheremouse:[^:]*:(\d+):", (tmp_path / "etc/passwd").read_text(), re.M)
     groups = (tmp_path / "etc/group").read_text()
     for group in ("video", "input", "dialout"):
         assert re.search(rf"^{group}:[^:]*:\d+:spheremouse$", groups, re.M), groups
     code, said = judged("systemd-tmpfiles", "--create", f"--root={tmp_path}", str(folder / "tmpfiles.conf"))
     assert code == 0, said
     state = (tmp_path / "var/lib/spheremouse").stat()
-    assert (state.st_uid, state.st_mode & 0o777) == (int(uid[1]), 0o750)
+    assert (state.st_uid, state.st_mode & 0o777) == (int(uid), 0o750)
 
 
 def test_the_tray_starts_with_a_desktop(tmp_path):

@@ -21,7 +21,6 @@ from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 
-GROUNDS = {"dark": 40, "light": 240}
 ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
 
 
@@ -37,21 +36,15 @@ def grey(state, size, ground):
 
 
 @pytest.mark.parametrize("size", [16, 22, 24, 32])
-@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
-def test_icons_differ_without_their_colours(size, ground):
+@pytest.mark.parametrize("ground", [40, 240], ids=["dark", "light"])
+def test_icons_are_seen_on_every_panel_and_differ_without_their_colours(size, ground):
     """Even where all grey values are stretched alike, a tenth of the pixels differs by a third of the range."""
-    seen = {}
-    for state in (*STATES, "of a later version"):
-        g = grey(state, size, ground)
-        seen[state] = (g - g.min()) / np.ptp(g)
-    for a, b in combinations(seen, 2):
-        assert np.mean(np.abs(seen[a] - seen[b]) > 0.33) > 0.10, (a, b)
-
-
-@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
-def test_icons_are_seen_on_every_panel(ground):
+    greys = {state: grey(state, size, ground) for state in (*STATES, "of a later version")}
+    for a, b in combinations(greys, 2):
+        first, second = ((greys[state] - greys[state].min()) / np.ptp(greys[state]) for state in (a, b))
+        assert np.mean(np.abs(first - second) > 0.33) > 0.10, (a, b)
     for state in STATES:
-        assert np.mean(np.abs(grey(state, 22, ground) - ground) > 60) > 0.25, state
+        assert np.mean(np.abs(greys[state] - ground) > 60) > 0.25, state
 
 
 def test_each_state_has_its_colour_except_the_two_errors():
@@ -97,16 +90,17 @@ def test_tooltip_and_menu_are_short_printable_lines_for_any_status(status, note)
     assert tray.icon(v.state, 16).size == (16, 16)
 
 
-def actions(v):
-    return [i.action for i in tray.menu(v) if i.action is not None]
-
-
-def test_the_menu_offers_the_possible_actions():
-    assert actions(View("tracking")) == ["reinit", "pause", "record", "page", "quit"]
-    assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
-    assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "page", "quit"]
-    assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "page", "quit"]
-    assert actions(tray.no_daemon("none")) == ["page", "quit"]
+@pytest.mark.parametrize(
+    ("view", "actions"),
+    [
+        (View("tracking"), ["reinit", "pause", "record", "page", "quit"]),
+        (View("no-camera", paused=True), ["reinit", "resume", "record", "page", "quit"]),
+        (View("tracking", recording="/var/r/1"), ["reinit", "pause", "end-record", "page", "quit"]),
+        (tray.no_daemon("none"), ["page", "quit"]),
+    ],
+)
+def test_the_menu_offers_the_possible_actions(view, actions):
+    assert [item.action for item in tray.menu(view) if item.action is not None] == actions
 
 
 def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
@@ -163,21 +157,14 @@ def test_a_problem_that_returns_is_shown_every_five_minutes():
 # ---- the link ----
 
 
-class Daemon:
+class Daemon(ControlServer):
     """A control server that keeps its requests and reports `state`."""
 
     def __init__(self, path):
-        self.path, self.state, self.asked, self.held = path, "tracking", [], []
+        self.state, self.asked, self.held = "tracking", [], []
+        super().__init__(path, ControlSettings(), self.answer)
 
-    def __enter__(self):
-        self.server = ControlServer(self.path, ControlSettings(), self.handle, lambda _: None)
-        self.server.__enter__()
-        return self
-
-    def __exit__(self, *error):
-        self.server.__exit__(*error)
-
-    def handle(self, pending):
+    def answer(self, pending):
         request, reply = pending.request, pending.answer
         if request.command == "status":
             reply(a_status(state=self.state, reason="as set"))
@@ -217,10 +204,11 @@ def test_the_link_outlives_daemons(world):
 
 def test_an_action_is_sent_and_its_result_shown(world):
     path, link, shown = world
+    link.do("resume")
+    until(lambda: shown[-1][1].startswith("no daemon runs"))
     with Daemon(path) as daemon:
         link.do("pause")
-        until(lambda: shown[-1][0].state == "paused")
-        until(lambda: shown[-1][1] == "paused")
+        until(lambda: shown[-1][0].state == shown[-1][1] == "paused")
         link.do("resume")
         until(lambda: shown[-1][0].state == "tracking")
         link.do("record")
@@ -261,12 +249,6 @@ def test_a_pending_reply_delays_no_other_action(world):
         assert daemon.asked == [{"command": "reinit"}, {"command": "pause"}]
         daemon.held[0]({"text": "there"})
         until(lambda: shown[-1][1] == "camera pose estimated again")
-
-
-def test_without_a_daemon_an_action_shows_the_reason(world):
-    _, link, shown = world
-    link.do("pause")
-    until(lambda: shown and shown[-1][1].startswith("no daemon runs"))
 
 
 # ---- backends ----
