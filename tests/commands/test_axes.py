@@ -17,10 +17,19 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 @pytest.mark.slow
-def test_a_player_on_the_far_side_is_understood_and_the_file_told(spheremouse, tmp_path):
+def test_a_player_on_the_far_side_is_understood_and_the_file_or_a_profile_told(spheremouse, tmp_path):
     """The film shows 60° right, away, and counter-clockwise, as somebody opposite the camera does it."""
     file = tmp_path / "config.yaml"
-    file.write_text("schema: 2\nmotion:\n  player: left  # guessed\n  invert_y: true\n")
+    motion = "motion:\n  player: left  # guessed\n  invert_y: true\n"
+    file.write_text(f"schema: 2\n{motion}profiles:\n  doom: {{motion.scale_x: 2}}  # fast\n")
+    for name in ("doom", "menu"):
+        spheremouse.succeed("axes", "--config", file, "--profile", name, "--source", FILM)
+    assert motion in file.read_text()
+    profiles = config.load(file, Configuration).profiles
+    found = ("motion.player='far-side'", "motion.invert_y=False")
+    assert set(profiles["doom"]) == {"motion.scale_x=2", *found}
+    assert set(profiles["menu"]) == set(found)
+    assert "--profile doom: needs --config FILE" in spheremouse.fail("axes", "--profile", "doom", "--source", FILM)
     out, _ = spheremouse.succeed("axes", "--config", file, "--source", FILM)
     assert "understood: you stand on the far side of the ball, opposite the camera" in out
     assert out.count("seen: 60°") == 3
@@ -29,23 +38,9 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(spheremouse, t
         "motion.invert_y: false (was true)",
         f"{file}: saved",
     ]
-    motion = config.load(file, Configuration).motion
-    assert (motion.player, motion.invert_y) == ("far-side", False)
-    assert "# guessed" in file.read_text()
-
-
-@pytest.mark.slow
-def test_the_directions_are_saved_into_a_profile_alone(spheremouse, tmp_path):
-    file = tmp_path / "config.yaml"
-    file.write_text("schema: 2\nmotion: {player: left}\nprofiles:\n  doom: {motion.scale_x: 2}  # fast\n")
-    for name in ("doom", "menu"):
-        spheremouse.succeed("axes", "--config", file, "--profile", name, "--source", FILM)
-    saved = config.load(file, Configuration)
-    assert saved.motion.player == "left"
-    assert set(saved.profiles["doom"]) == {"motion.scale_x=2", "motion.player='far-side'"}
-    assert saved.profiles["menu"] == ("motion.player='far-side'",)
-    assert "# fast" in file.read_text()
-    assert "--profile doom: needs --config FILE" in spheremouse.fail("axes", "--profile", "doom", "--source", FILM)
+    saved = config.load(file, Configuration).motion
+    assert (saved.player, saved.invert_y) == ("far-side", False)
+    assert all(comment in file.read_text() for comment in ("# guessed", "# fast"))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from invoking import fail, succeed
 
+from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.calibrate.outline.fit import R_OBJ_CAM, pinhole
 from spheremouse.commands import app
 from spheremouse.files.dataset.ball import open_dataset
@@ -93,8 +94,6 @@ CAMERA = Path("camera.yaml")  # of pictures of 640x480
 
 def clicks(recording):
     """Points on the outline of the recording's ball, as a person would give them, to a pixel."""
-    from spheremouse.ball.detect.appearance import ball_outline
-
     scene = open_dataset(recording)
     return " ".join(f"{x:.0f},{y:.0f}" for x, y in ball_outline(scene.rig, scene.pose, 7))
 
@@ -127,19 +126,15 @@ def test_a_recording_gives_its_camera_and_evaluate_turns_the_truth_into_the_axes
 
 
 def test_points_by_hand_need_no_motion_and_find_the_same_ball(recording, tmp_path):
-    succeed(app, "ball", recording, "--out", tmp_path / "a")
-    succeed(app, "ball", recording, "--out", tmp_path / "b", "--points", clicks(recording))
+    """They may follow each other without quotes."""
+    points = clicks(recording)
+    for name, words in (("a", ()), ("b", ("--points", points)), ("c", ("--points", *points.split()))):
+        succeed(app, "ball", recording, "--out", tmp_path / name, *words)
+    assert (tmp_path / "b" / "rig.yaml").read_text() == (tmp_path / "c" / "rig.yaml").read_text()
     a, b = (load_rig(tmp_path / name / "rig.yaml").pose for name in "ab")
     off = b.position - a.position
     C = a.covariance[:3, :3] + b.covariance[:3, :3]
     assert off @ np.linalg.solve(C, off) < 16.3  # 0.999
-
-
-def test_points_may_follow_each_other_without_quotes(recording, tmp_path):
-    points = clicks(recording).split()
-    succeed(app, "ball", recording, "--out", tmp_path / "a", "--points", *points)
-    succeed(app, "ball", recording, "--out", tmp_path / "b", "--points", " ".join(points))
-    assert (tmp_path / "a" / "rig.yaml").read_text() == (tmp_path / "b" / "rig.yaml").read_text()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -19,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import directions
+from invoking import succeed
 
 from spheremouse import commands as cli
 from spheremouse.ball.disc_map import DiscMap
@@ -40,13 +40,10 @@ QUICK = ("--set", "pose.frames=2")
 def roll(tmp_path_factory):
     """A dataset: one turn in 2 s, through phi = 90 degrees; made by the command."""
     path = tmp_path_factory.mktemp("cli") / "roll"
-    words = ["simulate", path, "--motion", "roll", "--turns", "1", "--seconds", "2", "--fps", "20", "--noise", "2"]
-    made = subprocess.run(
-        [sys.executable, "-m", "spheremouse", *map(str, words)], capture_output=True, text=True, check=False
-    )
-    assert made.returncode == 0, made.stderr
-    assert made.stdout.startswith(f"{path}: 40 frames of 640x480 at 20 Hz, 26 discs, motion roll; ")
-    assert made.stderr == ""  # no bar where there is no terminal
+    words = ("--motion", "roll", "--turns", 1, "--seconds", 2, "--fps", 20, "--noise", 2)
+    said = succeed(cli.app, "simulate", path, *words)
+    assert said.startswith(f"{path}: 40 frames of 640x480 at 20 Hz, 26 discs, motion roll; ")
+    assert said.count("\n") == 1  # no bar where there is no terminal
     return path
 
 
@@ -124,8 +121,8 @@ def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(sphere
 def test_frames_ends_the_run_early_and_a_status_without_a_terminal_is_plain_lines(spheremouse, roll, tmp_path):
     log_file, video = tmp_path / "motion.txt", tmp_path / "seen.mkv"
     words = ("--output", f"text:{log_file}", "--frames", "7", "--status", "--overlay", video, *QUICK)
-    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", *words)
-    assert (code, out) == (0, "")
+    out, err = spheremouse.succeed("run", "--source", f"dataset:{roll}", *words)
+    assert out == ""
     assert len(motions(log_file.read_text())) == 7
     assert video_frames(video) == 7
     assert re.search(r"^ +0\.000 s  tracking  rate [-+.\d ]+ deg/s  counts ", err, re.MULTILINE)
@@ -139,8 +136,8 @@ def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(sp
     source = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "text:-", *QUICK)
     said = spheremouse.fail(*source)
     assert said == f"video:{roll}/video.mkv: has no description of the device; give its rig file with --rig FILE"
-    code, out, _ = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--frames", "3")
-    assert (code, len(motions(out))) == (0, 3)
+    out, _ = spheremouse.succeed(*source, "--rig", tmp_path / "rig.yaml", "--frames", "3")
+    assert len(motions(out)) == 3
     said = spheremouse.fail(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
     assert said.startswith("frame 0 is 640x480, the camera was calibrated at 1280x960: ")
 
@@ -199,17 +196,14 @@ def test_a_table_has_the_samples_of_the_text_and_the_description_of_its_run(sphe
 
 
 def test_a_recording_is_replayed_without_a_map_unless_it_is_asked_for(spheremouse, roll, device, empty_folder):
-    source = ("run", "--source", f"dataset:{roll}", "--output", "null", *QUICK)
+    words = ("--output", "null", *QUICK)
     before = sorted(p.name for p in roll.iterdir())
-    _, err = spheremouse.succeed(*source, "--rig", device, "--frames", "3")
-    assert "map" not in err
-    _, err = spheremouse.succeed(
-        "run", "--source", f"video:{roll / 'video.mkv'}", *source[3:], "--rig", device, "--no-map", "--frames", "3"
-    )
-    assert "map" not in err
+    for source, more in ((f"dataset:{roll}", ()), (f"video:{roll / 'video.mkv'}", ("--no-map",))):
+        _, err = spheremouse.succeed("run", "--source", source, *words, "--rig", device, "--frames", "3", *more)
+        assert "map" not in err
     assert [p.name for p in device.parent.iterdir()] == ["rig.yaml"]
     assert sorted(p.name for p in roll.iterdir()) == before
-    _, err = spheremouse.succeed(*source, "--map", "asked.yaml")
+    spheremouse.succeed("run", "--source", f"dataset:{roll}", *words, "--map", "asked.yaml")
     assert len(load_map(empty_folder / "asked.yaml").map) >= 8
 
 
@@ -298,17 +292,14 @@ def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_req
 # ---- signals ----
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
-def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(
-    spheremouse, roll, tmp_path, monkeypatch, number
-):
+def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(spheremouse, roll, tmp_path, monkeypatch):
     """It arrives while the ninth frame is worked on."""
     work = Worker.work
 
     def work_and_signal(worker, arrival, colour=False):
         made = work(worker, arrival, colour)
         if worker.frames == 9:
-            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), signal.SIGINT)
         return made
 
     monkeypatch.setattr(Worker, "work", work_and_signal)
@@ -322,15 +313,15 @@ def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(
     assert video_frames(video) == 9
 
 
-def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it():
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it(number):
     with SignalHandler() as stopping:
         got = []
         for frame in stopping.frames(iter(range(5))):
             if frame == 2:
-                os.kill(os.getpid(), signal.SIGTERM)
+                os.kill(os.getpid(), number)
             got.append(frame)
-    assert got == [0, 1, 2]
-    assert stopping.asked
+    assert (got, stopping.asked) == ([0, 1, 2], True)
 
 
 def test_a_signal_while_a_frame_is_awaited_ends_the_wait():

@@ -2,11 +2,12 @@
 
 import csv
 import io
+import json
 
 import numpy as np
 import pytest
 from control_world import a_status
-from invoking import succeed
+from invoking import fail, succeed
 from rich.console import Console
 
 from spheremouse.commands import app
@@ -22,23 +23,27 @@ from spheremouse.session.run_config import CommandLineOverrides
 
 @pytest.mark.slow
 def test_two_recordings_are_tied_and_tracked_as_one(tmp_path):
-    for name, more in (("front", ()), ("side", ("--azimuth", "90", "--late", "0.0167"))):
-        film = str(tmp_path / name)
-        succeed(app, "simulate", film, "--motion", "play", "--seconds", "8", "--seed", "3", *more)
-        save_rig(tmp_path / f"{name}.yaml", open_dataset(tmp_path / name).rig)
     front, side, tied = (tmp_path / name for name in ("front", "side", "tied.yaml"))
-    sources = ["--source", f"dataset:{front}", "--source", f"dataset:{side}"]
-    succeed(app, "calibrate", "tie", *sources, "--out", str(tied))
+    for film, more in ((front, ()), (side, ("--azimuth", 90, "--late", 0.0167))):
+        succeed(app, "simulate", film, "--motion", "play", "--seconds", 8, "--seed", 3, *more)
+        save_rig(film.with_suffix(".yaml"), open_dataset(film).rig)
+    succeed(app, "calibrate", "tie", "--source", f"dataset:{front}", "--source", f"dataset:{side}", "--out", tied)
     rig, turn = load_rig(tied), open_dataset(side).turn
     found = align(load_rig(tmp_path / "side.yaml").targets.position, rig.targets.position)
     assert np.degrees(np.linalg.norm(log(found @ turn.T))) < 0.05
     table = tmp_path / "motion.csv"
-    rigs = ["--rig", f"{front}.yaml", "--rig", str(tied)]
-    succeed(app, "track", str(front), "--beside", str(side), *rigs, "--output", f"csv:{table}")
+    rigs = ("--rig", f"{front}.yaml", "--rig", tied)
+    succeed(app, "track", front, "--beside", side, *rigs, "--output", f"csv:{table}")
     rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
     stamps = [float(row["stamp"]) for row in csv.DictReader(rows)]
     assert len(stamps) > 1.9 * 8 * 30
     assert stamps == sorted(stamps)
+    # each by its own rig; the truth is that of both, in the axes of the first
+    result = json.loads(succeed(app, "evaluate", front, "--beside", side, "--json", "-"))
+    assert (result["dataset"], result["frames"], result["tracked"]) == ("front and side", 480, 480)
+    assert result["attitude_rmse_deg"]["combined"] < 0.03
+    assert result["nees"]["attitude"] < 3.0
+    assert "more than one camera" in fail(app, "evaluate", front, "--beside", side, "--tracker", "ekf1")
 
 
 def test_status_and_doctor_name_the_camera_that_takes_no_part():

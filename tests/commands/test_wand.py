@@ -7,12 +7,10 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-import typer
 from experiments.kit.balls import contrast_ball, led_ball
 from invoking import fail, succeed
 
-from spheremouse.commands import wand as cli_wand
-from spheremouse.commands.evaluate import evaluate
+from spheremouse.commands import app
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.to_dataset import write_wand
@@ -22,31 +20,26 @@ from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.pick_colours import Circle, check_bounds, circle_mask, find_ball, pick_bounds
 from spheremouse.wand.settings import ColourSettings
 
-app = typer.Typer()
-app.add_typer(cli_wand.app, name="wand")
-app.command()(evaluate)
-
-
 ok, refused = partial(succeed, app), partial(fail, app)
+
+
+def first_picture(ball=None, **options):
+    """The first picture of a ball in a hand, and the circle of the ball."""
+    film = prepare_wand(WandOptions(motion="hand", size=(640, 480), **options), ball)
+    shot = next(iter(simulate_wand(film)))
+    (x, y, z), c = shot.position[0], film.scene.camera
+    return shot.frame.image, Circle(c.cx + c.fx * x / z, c.cy + c.fy * y / z, c.fx * 0.05 / z)
 
 
 @pytest.fixture(scope="module")
 def shot():
-    """A hand holds the ball before the camera: the picture, and where the ball is in it."""
-    film = prepare_wand(WandOptions(motion="hand", seed=1, begin=40 / 15, seconds=0.1, size=(640, 480)))
-    return next(iter(simulate_wand(film))), film
-
-
-def circle_of(shot, film):
-    x, y, z = shot.position[0]
-    c = film.scene.camera
-    return Circle(c.cx + c.fx * x / z, c.cy + c.fy * y / z, c.fx * 0.05 / z)
+    return first_picture(seed=1, begin=40 / 15, seconds=0.1)
 
 
 @pytest.fixture
 def picture(shot, tmp_path):
     path = tmp_path / "hand.png"
-    cv2.imwrite(str(path), shot[0].frame.image)
+    cv2.imwrite(str(path), shot[0])
     return path
 
 
@@ -55,10 +48,12 @@ def picture(shot, tmp_path):
 
 def test_a_film_is_made_and_evaluated(tmp_path):
     out = tmp_path / "film"
-    words = ("--path", "hand", "--seconds", 0.6, "--seed", 3, "--size", "640x480", "--blur", 0.005)
+    words = ("--path", "hand", "--seconds", 0.6, "--seed", 3, "--size", "640x480", "--blur", 0.005, "--distance", 1.5)
     said = ok("wand", "simulate", out, *words)
     assert said.startswith(f"{out}: 9 frames of 640x480 at 15 Hz, motion hand, ball grzonka; ")
     assert f"next: spheremouse evaluate {out} --tracker wand" in said
+    truth = np.genfromtxt(out / "truth.csv", delimiter=",", names=True)
+    assert np.abs(truth["z"] - 1.5).max() < 0.2 * 1.5
     said = ok("evaluate", out, "--tracker", "wand", "--runs", 2, "--pose", "known", "--json", tmp_path / "a.json")
     figures = json.loads((tmp_path / "a.json").read_text())
     assert (figures["dataset"], figures["tracker"], figures["frames"], figures["runs"]) == ("film", "wand", 9, 2)
@@ -66,13 +61,6 @@ def test_a_film_is_made_and_evaluated(tmp_path):
     assert figures["lost_runs"] in (0, 1, 2)
     assert figures["fps"] > 0.0
     assert "is not empty; name another folder or use --force" in refused("wand", "simulate", out, "--seconds", 1)
-
-
-def test_distance_is_that_of_the_hand(tmp_path):
-    words = ("--path", "hand", "--seconds", 0.1, "--size", "320x240", "--distance", 2.5)
-    ok("wand", "simulate", tmp_path / "film", *words)
-    truth = np.genfromtxt(tmp_path / "film" / "truth.csv", delimiter=",", names=True)
-    assert np.abs(truth["z"] - 2.5) < 0.2 * 2.5
 
 
 @pytest.mark.parametrize(
@@ -94,8 +82,8 @@ def test_evaluate_refuses_what_does_not_go_with_a_wand(tmp_path, words, said):
 
 
 def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
-    picked = pick_bounds(shot[0].frame.image, grzonka_ball())
-    true = circle_of(*shot)
+    image, true = shot
+    picked = pick_bounds(image, grzonka_ball())
     assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
     assert picked.circle.radius == pytest.approx(true.radius, rel=0.1)
     red, blue = picked.colours["red"], picked.colours["blue"]
@@ -109,7 +97,7 @@ def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
 
 def test_bounds_follow_the_light(shot):
     """Under blue light, in which white is blue, the bounds picked are others, and still select the discs alone."""
-    image, circle = shot[0].frame.image, circle_of(*shot)
+    image, circle = shot
     tinted = np.clip(image * np.array([1.0, 0.9, 0.7]), 0, 255).astype(np.uint8)
     picked = pick_bounds(tinted, grzonka_ball())
     plain = pick_bounds(image, grzonka_ball(), circle)
@@ -120,41 +108,31 @@ def test_bounds_follow_the_light(shot):
 
 
 def test_one_colour_is_split_by_brightness():
-    film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=1.0, size=(640, 480)), contrast_ball())
-    shot = next(simulate_wand(film))
-    picked = pick_bounds(shot.frame.image, contrast_ball(), circle_of(shot, film))
+    image, circle = first_picture(contrast_ball(), seed=2, seconds=1.0)
+    picked = pick_bounds(image, contrast_ball(), circle)
     assert 0.05 < picked.inside["dark"] < 0.35
     assert 40 < picked.colours["dark"].value_max < 140
 
 
-def test_the_command_writes_bounds_and_picture(picture, tmp_path):
-    out = tmp_path / "wand.yaml"
-    said = ok("wand", "colours", picture, "--out", out)
-    assert "the ball is at" in said
-    assert "red: hue_min" in said
-    file = load_wand(out)
-    assert file.ball.colours == ("blue", "red")
-    assert file.colours["red"] != DEFAULT_COLOURS["red"]
-    shown = cv2.imread(str(tmp_path / "hand.png.colours.png"))
-    assert shown is not None
-    assert shown.shape == (480, 640 + 240, 3)
-    red = np.all(shown[:, :640] == (60, 60, 255), axis=2)
-    assert 0 < np.count_nonzero(red) < 0.05 * red.size
-    said = ok("wand", "colours", picture, "--check", "--ball", out)
-    assert "selects" in said
-
-
-def test_the_next_step_it_names_can_be_taken(picture, shot, tmp_path):
+def test_the_command_writes_bounds_and_picture_and_its_next_step_can_be_taken(picture, shot, tmp_path):
     """The overlay is made anew each time; what may be somebody's own is not touched."""
     shown, out, own = tmp_path / "hand.png.colours.png", tmp_path / "wand.yaml", tmp_path / "own.png"
     said = ok("wand", "colours", picture)
-    assert "next: look at the picture, then write the bounds with --out wand.yaml" in said
+    for words in ("the ball is at", "red: hue_min", "next: look at the picture, then write the bounds with --out"):
+        assert words in said
     whole = shown.read_bytes()
+    overlay = cv2.imread(str(shown))
+    assert overlay.shape == (480, 640 + 240, 3)
+    red = np.all(overlay[:, :640] == (60, 60, 255), axis=2)
+    assert 0 < np.count_nonzero(red) < 0.05 * red.size
     shown.write_bytes(b"of an earlier picture")
     ok("wand", "colours", picture, "--out", out)
     assert shown.read_bytes() == whole
-    ok("wand", "colours", picture, "--check", "--ball", out)
-    cv2.imwrite(str(tmp_path / "hand.jpg"), shot[0].frame.image)
+    file = load_wand(out)
+    assert file.ball.colours == ("blue", "red")
+    assert file.colours["red"] != DEFAULT_COLOURS["red"]
+    assert "selects" in ok("wand", "colours", picture, "--check", "--ball", out)
+    cv2.imwrite(str(tmp_path / "hand.jpg"), shot[0])
     ok("wand", "colours", tmp_path / "hand.jpg")
     assert (tmp_path / "hand.jpg.colours.png").is_file()
     own.write_bytes(b"a photo")
@@ -191,10 +169,8 @@ def test_light_is_what_a_dark_picture_lacks(tmp_path):
 @pytest.mark.parametrize("seed", [1, 3])
 def test_lit_discs_are_told_from_a_bright_room(seed):
     """Bounds take the discs and little of a floor that is nearly as bright."""
-    film = prepare_wand(WandOptions(motion="hand", seed=seed, seconds=0.5, size=(640, 480)), led_ball())
-    shot = next(simulate_wand(film))
-    true = circle_of(shot, film)
-    picked = pick_bounds(shot.frame.image, led_ball())
+    image, true = first_picture(led_ball(), seed=seed, seconds=0.5)
+    picked = pick_bounds(image, led_ball())
     assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
     assert 0.1 < picked.inside["light"] < 0.25
     assert picked.outside["light"] < 0.02
@@ -256,7 +232,7 @@ def test_what_cannot_be_picked_is_said_in_words(picture, shot, tmp_path):
     ):
         assert said in refused("wand", "colours", *words)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.png", "hand.png"]
-    image, circle = shot[0].frame.image, circle_of(*shot)
+    image, circle = shot
     with pytest.raises(ConfigurationError, match="green: the bounds select nothing on the ball"):
         check_bounds(image, {"green": ColourSettings(hue_min=100, hue_max=140, saturation_min=200)}, circle)
     with pytest.raises(ConfigurationError, match=r"light: the bounds select .* % of the picture"):

@@ -4,14 +4,17 @@ import asyncio
 import json
 import socket
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from reporting import report
 
 from spheremouse.errors import ControlError
+from spheremouse.files.listing import Listed
 from spheremouse.output import open_output
 from spheremouse.session.process import child
+from spheremouse.session.replay import options_of
 from spheremouse.view.access import Access
 from spheremouse.view.recordings import Recordings
 
@@ -75,13 +78,39 @@ def test_a_page_gets_each_sample(browser):
 
 
 STATUS = {"tracker": "so3", "config": "/etc/c.yaml", "given": [], "changes": []}
+CONFIG = ("--config", "/etc/c.yaml")
+GIVEN = ["source", "rig", "control.socket", "tracker", "so3.acceleration_sigma"]
+VALUES = {"source": "v4l2:x", "rig": "r.yaml", "control.socket": "/s", "tracker": "ekf1", "so3.acceleration_sigma": 3.5}
+SAVED = {"saved": ["motion.scale_x=2", "rig=r.yaml"], "given": ["motion.scale_y"]}
 
 
-def compared(monkeypatch, folder, status, values=None, wand=False, seconds=2):
-    """The options of `evaluate` for saved and present settings, as sets of pairs."""
-    (folder / "r").mkdir()
-    scene = {"frames": 30 * seconds, "fps": 30} | ({"wand": {}} if wand else {})
-    (folder / "r/scene.json").write_text(json.dumps(scene))
+@pytest.mark.parametrize(
+    ("status", "values", "wand", "options"),
+    [
+        ({"changes": ["discs.contrast=0.3"]}, {}, False, []),
+        # those of the daemon's command line hold, except its devices
+        (
+            {"tracker": "ekf1", "given": GIVEN},
+            VALUES,
+            False,
+            ["--set", 'tracker="ekf1"', "--set", "so3.acceleration_sigma=3.5"],
+        ),
+        # and come after those that were saved
+        (SAVED, {"motion.scale_y": 1.5}, False, ["--set", "motion.scale_x=2", "--set", "motion.scale_y=1.5"]),
+        # a recording of the other kind gets its own tracker
+        ({}, {}, True, ["--tracker", "wand"]),
+        ({"tracker": "wand"}, {}, False, ["--tracker", "so3"]),
+        ({"tracker": "wand", "given": ["tracker"]}, {"tracker": "wand"}, True, ["--set", 'tracker="wand"']),
+    ],
+)
+def test_a_recording_is_tracked_by_the_settings_of_the_daemon_except_its_devices(status, values, wand, options):
+    assert options_of(STATUS | status, values, Listed(Path("r"), wand=wand)) == [*CONFIG, *options]
+
+
+def compared(monkeypatch, folder, seconds, changes=(), **scene):
+    """The options of `evaluate` for saved and present settings."""
+    (folder / "r").mkdir(exist_ok=True)
+    (folder / "r/scene.json").write_text(json.dumps({"frames": 30 * seconds, "fps": 30, **scene}))
     asked = []
 
     async def answer(_, *words, timeout):
@@ -90,68 +119,18 @@ def compared(monkeypatch, folder, status, values=None, wand=False, seconds=2):
         return {}
 
     monkeypatch.setattr(child, "answer", answer)
-
-    daemon = SimpleNamespace(
-        status=STATUS | {"recordings": str(folder)} | status, socket=None, values=lambda: {"values": values or {}}
-    )
+    status = STATUS | {"recordings": str(folder), "changes": changes}
+    daemon = SimpleNamespace(status=status, socket=None, values=lambda: {"values": {}})
     with ThreadPoolExecutor() as pool:  # since Playwright may have a loop in this thread
         pool.submit(asyncio.run, Recordings(daemon).compare("r", 0.5, seconds - 0.5)).result()
-    return [{*zip(words[::2], words[1::2], strict=True)} for words in asked]
+    return asked
 
 
-SECTION = {("--begin", "0.5"), ("--end", "1.5")}
-CONFIG = ("--config", "/etc/c.yaml")
-
-
-def test_the_present_settings_are_the_saved_ones_and_what_was_changed(monkeypatch, tmp_path):
-    saved, present = compared(monkeypatch, tmp_path, {"changes": ["discs.contrast=0.3"]})
-    assert saved == SECTION | {CONFIG}
-    assert present - saved == {("--set", "discs.contrast=0.3")}
-
-
-def test_without_a_change_one_run_is_enough(monkeypatch, tmp_path):
-    assert len(compared(monkeypatch, tmp_path, {})) == 1
-
-
-def test_settings_of_the_daemons_command_line_hold_except_its_devices(monkeypatch, tmp_path):
-    given = ["source", "rig", "control.socket", "tracker", "so3.acceleration_sigma"]
-    values = {
-        "source": "v4l2:x",
-        "rig": "r.yaml",
-        "control.socket": "/s",
-        "tracker": "ekf1",
-        "so3.acceleration_sigma": 3.5,
-    }
-    (words,) = compared(monkeypatch, tmp_path, {"tracker": "ekf1", "given": given}, values)
-    assert words == SECTION | {CONFIG, ("--set", 'tracker="ekf1"'), ("--set", "so3.acceleration_sigma=3.5")}
-
-
-def test_saved_settings_hold_and_those_of_the_command_line_come_after_them(monkeypatch, tmp_path):
-    status = {"saved": ["motion.scale_x=2", "rig=r.yaml"], "given": ["motion.scale_y"], "changes": ["motion.scale_x=3"]}
-    saved, present = compared(monkeypatch, tmp_path, status, {"motion.scale_y": 1.5})
-    assert saved == SECTION | {CONFIG, ("--set", "motion.scale_x=2"), ("--set", "motion.scale_y=1.5")}
-    assert present - saved == {("--set", "motion.scale_x=3")}
-
-
-@pytest.mark.parametrize(("tracker", "wand", "other"), [("so3", True, "wand"), ("wand", False, "so3")])
-def test_a_recording_of_the_other_kind_gets_its_own_tracker(monkeypatch, tmp_path, tracker, wand, other):
-    (words,) = compared(monkeypatch, tmp_path, {"tracker": tracker}, wand=wand)
-    assert ("--tracker", other) in words
-
-
-@pytest.mark.parametrize(("tracker", "wand"), [("so3", False), ("wand", True)])
-def test_a_recording_of_the_same_kind_keeps_the_tracker(monkeypatch, tmp_path, tracker, wand):
-    (words,) = compared(
-        monkeypatch, tmp_path, {"tracker": tracker, "given": ["tracker"]}, {"tracker": tracker}, wand=wand
-    )
-    assert ("--set", f'tracker="{tracker}"') in words
-    assert not any(option == "--tracker" for option, _ in words)
-
-
-def test_a_long_section_is_refused_but_not_of_a_ball_in_a_hand_which_has_none(monkeypatch, tmp_path):
+def test_a_section_is_tracked_by_the_saved_settings_and_by_those_that_were_changed(monkeypatch, tmp_path):
+    section = ("--begin", "0.5", "--end", "1.5")
+    assert compared(monkeypatch, tmp_path, 2) == [(*CONFIG, *section)]  # without a change one run is enough
+    changed = (*CONFIG, *section, "--set", "discs.contrast=0.3")
+    assert compared(monkeypatch, tmp_path, 2, ["discs.contrast=0.3"]) == [(*CONFIG, *section), changed]
     with pytest.raises(ControlError, match="at most 60 s"):
-        compared(monkeypatch, tmp_path, {}, seconds=62)
-    (tmp_path / "r/scene.json").unlink()
-    (tmp_path / "r").rmdir()
-    (words,) = compared(monkeypatch, tmp_path, {"tracker": "wand"}, wand=True, seconds=62)
-    assert words == {CONFIG}
+        compared(monkeypatch, tmp_path, 62)
+    assert compared(monkeypatch, tmp_path, 62, wand={}) == [(*CONFIG, "--tracker", "wand")]  # which has no section
