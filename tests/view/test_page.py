@@ -24,6 +24,11 @@ def field(page, panel, key):
     return page.locator(f'[id="{panel}-{key}"]')
 
 
+def enter(control, text):
+    control.fill(text)
+    control.press("Enter")
+
+
 def refusal(page, panel, key):
     return page.locator(f'[id="{panel}-{key}-error"]')
 
@@ -71,9 +76,10 @@ def value(service, key):
 
 
 def test_state_and_reason_are_in_words_and_follow_the_service(page, service):
-    assert page.locator("#state").inner_text() == "tracking"
     wait_for("a reason", lambda: page.locator("#reason").inner_text())
     assert "sends no motion" in page.locator("#advice").inner_text()  # the output is null
+    choose(page, "Outputs")
+    page.locator("#panel-Outputs").get_by_role("rowheader", name="null").wait_for()
     service.ask("pause")
     page.get_by_text("paused", exact=True).wait_for()
     assert "Resume" in page.locator("#advice").inner_text()
@@ -147,19 +153,17 @@ def test_a_page_without_a_service_offers_nothing_that_needs_one(browser, tmp_pat
 
 
 def test_buttons_reach_the_service(page, service):
-    page.get_by_role("button", name="Pause").click()
-    service.reach(paused=True)
-    page.get_by_role("button", name="Resume").click()
-    service.reach(paused=False)
-    page.get_by_role("button", name="Record").click()
-    wait_for("a recording", lambda: service.status()["recording"])
-    page.get_by_role("button", name="Stop recording").click()
-    wait_for("its end", lambda: service.status()["recording"] is None)
-    page.get_by_role("button", name="Snapshot").click()
-    wait_for("a snapshot", lambda: [*service.folder.rglob("*.png"), *service.folder.rglob("*.jpg")])
     age = service.status()["pose"]["age_s"]
-    page.get_by_role("button", name="Estimate camera pose").click()
-    wait_for("another pose", lambda: (service.status()["pose"] or {"age_s": age})["age_s"] < age)
+    for button, done in (
+        ("Pause", lambda: service.status()["paused"]),
+        ("Resume", lambda: not service.status()["paused"]),
+        ("Record", lambda: service.status()["recording"]),
+        ("Stop recording", lambda: service.status()["recording"] is None),
+        ("Snapshot", lambda: [*service.folder.rglob("*.png"), *service.folder.rglob("*.jpg")]),
+        ("Estimate camera pose", lambda: (service.status()["pose"] or {"age_s": age})["age_s"] < age),
+    ):
+        page.get_by_role("button", name=button).click()
+        wait_for(button, done)
     service.reach(state="tracking")
 
 
@@ -223,13 +227,11 @@ def test_the_stage_that_a_setting_changes_is_shown_before_and_now(page, service)
 
 def test_a_value_that_is_refused_is_refused_in_words_and_stays_to_be_corrected(page, service):
     scale = field(page, "tune", "motion.scale_x")
-    scale.fill("two")
-    scale.press("Enter")
+    enter(scale, "two")
     wait_for("the refusal", lambda: "must be a number" in refusal(page, "tune", "motion.scale_x").inner_text())
     assert scale.input_value() == "two"
     assert value(service, "motion.scale_x") is None
-    scale.fill("1,5")
-    scale.press("Enter")
+    enter(scale, "1,5")
     wait_for("the value", lambda: value(service, "motion.scale_x") == "1.5")
     assert refusal(page, "tune", "motion.scale_x").inner_text() == ""
 
@@ -329,8 +331,7 @@ def test_expert_settings_are_searched_changed_and_reset(page, service):
     page.locator("#search").fill("blobs.area")
     assert rows.count() == 1 < everything
     area = field(page, "expert", "blobs.area")
-    area.fill("[50, 300]")
-    area.press("Enter")
+    enter(area, "[50, 300]")
     wait_for("the value", lambda: value(service, "blobs.area"))
     page.locator("#search").fill("lost_after")
     assert "0 of" in (count := page.locator("#panel-Expert .help").first.inner_text())
@@ -365,8 +366,7 @@ def test_a_rectangle_without_discs_can_be_drawn(page, service, by):
         page.keyboard.press("Delete")
         wait_for("none", lambda: shown() == [])
     else:
-        page.get_by_label("left").fill("12")
-        page.get_by_label("left").press("Enter")
+        enter(page.get_by_label("left"), "12")
         wait_for("its edge", lambda: shown() == [12, *first[1:]])
 
 
@@ -379,8 +379,7 @@ def test_a_polygon_without_discs_can_be_drawn_and_changed(page, service, by):
         for key in ("Enter", *["ArrowRight"] * 10, "Enter", *["ArrowDown"] * 10, "Enter", "Enter"):
             page.keyboard.press(key)
         wait_for("a triangle", lambda: shown() == [320, 240, 360, 240, 360, 280])
-        page.get_by_label("y 3").fill("300")
-        page.get_by_label("y 3").press("Enter")
+        enter(page.get_by_label("y 3"), "300")
         wait_for("its corner", lambda: shown()[-2:] == [360, 300])
         return
     x, y = middle(page.locator("#picture"))
@@ -439,14 +438,12 @@ def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page
     before = wait_for("the position", frame)
     page.locator("#step").click()
     wait_for("the next frame", lambda: frame() == before % 50 + 1)
-    page.locator("#replay-end").fill("1")
-    page.locator("#replay-end").press("Enter")
+    enter(page.locator("#replay-end"), "1")
     page.locator("#hold").click()
     page.get_by_text("replay: tracking", exact=True).wait_for()
     choose(page, "Tune")
     sigma = field(page, "tune", "so3.acceleration_sigma")
-    sigma.fill("100")
-    sigma.press("Enter")
+    enter(sigma, "100")
     page.get_by_text("unsaved", exact=True).first.wait_for()
     assert value(service, "so3.acceleration_sigma") is None
     choose(page, "Recordings")
@@ -462,11 +459,6 @@ def test_a_recording_is_replayed_step_by_step_and_two_settings_are_compared(page
     page.locator("#leave").click()
     page.get_by_text("tracking", exact=True).wait_for()
     wait_for("the setting at the camera", lambda: value(service, "so3.acceleration_sigma") == "100")
-
-
-def test_outputs_are_listed(page):
-    choose(page, "Outputs")
-    page.locator("#panel-Outputs").get_by_role("rowheader", name="null").wait_for()
 
 
 def test_a_report_of_a_calibration_is_shown_and_nonsense_refused_with_its_reason(page, service):

@@ -134,12 +134,23 @@ class Browser:
         self.socket.send('{"type":"next"}')
         return self.until("frame")
 
+    def picture(self):
+        """The next frame that has a picture."""
+        while not (frame := self.frame())["jpeg"]:
+            pass
+        return frame
+
 
 def read(received):
     if isinstance(received, str):
         return json.loads(received)
     (length,) = struct.unpack(">I", received[:4])
     return {**json.loads(received[4 : 4 + length]), "jpeg": received[4 + length :]}
+
+
+def act(browser, action, **arguments):
+    """The answer to an action."""
+    return browser.ask("do", action=action, arguments=arguments)
 
 
 def get(port, path="/", **headers):
@@ -155,9 +166,7 @@ def test_a_browser_gets_settings_status_pictures_and_each_sample_once(world, pag
         assert hello["owner"] is True
         assert {"motion.scale_x", "discs.contrast"} <= {about["key"] for about in hello["settings"]}
         assert browser.until("status", lambda m: m["status"])["status"]["state"] == "tracking"
-        first = browser.frame()
-        while not first["jpeg"]:
-            first = browser.frame()
+        first = browser.picture()
         assert simplejpeg.decode_jpeg(first["jpeg"]).shape == (480, 640, 3)
         stamps = [row[0] for row in first["samples"]]
         while len(stamps) < 12:
@@ -195,21 +204,19 @@ def test_a_wrong_value_is_refused_in_words(page):
             ({"motion.scale_x": 1e9}, "motion.scale_x: must be"),
         ):
             answer = browser.ask("set", values=values, gesture="g")
-            assert answer["type"] == "trouble"
-            assert said in answer["text"]
-            assert "\n" not in answer["text"]
+            assert (answer["type"], said in answer["text"], "\n" in answer["text"]) == ("trouble", True, False)
 
 
 def test_buttons_do_what_ctl_does(world, page):
     with Browser(page) as browser:
-        assert browser.ask("do", action="pause")["message"] == "Paused."
+        assert act(browser, "pause")["message"] == "Paused."
         browser.until("status", lambda m: m["status"]["state"] == "paused")
         assert browser.ask("do", action="resume")["message"] == "Resumed."
-        assert browser.ask("do", action="snapshot")["message"].endswith(".png")
-        assert "recording" in browser.ask("do", action="record")["message"]
-        assert "nothing" not in browser.ask("do", action="record", arguments={"stop": True})["message"]
-        assert browser.ask("do", action="reinit")["message"].startswith("camera pose")
-        assert "no such action" in browser.ask("do", action="rm")["text"]
+        assert act(browser, "snapshot")["message"].endswith(".png")
+        assert "recording" in act(browser, "record")["message"]
+        assert "nothing" not in act(browser, "record", stop=True)["message"]
+        assert act(browser, "reinit")["message"].startswith("camera pose")
+        assert "no such action" in act(browser, "rm")["text"]
 
 
 def test_save_keeps_the_comments_and_export_and_import_are_inverse(world, page):
@@ -218,18 +225,18 @@ def test_save_keeps_the_comments_and_export_and_import_are_inverse(world, page):
     with Browser(page) as browser:
         browser.until("hello", lambda m: m["settings"])
         browser.ask("set", values={"motion.scale_x": 2.0, "discs.masks": [[1, 2, 3, 4]]}, gesture="g")
-        text = browser.ask("do", action="export")["data"]["text"]
+        text = act(browser, "export")["data"]["text"]
         assert "motion:\n  scale_x: 2.0" in text
-        browser.ask("do", action="reset", arguments={"keys": ["motion.scale_x", "discs.masks"]})
+        act(browser, "reset", keys=["motion.scale_x", "discs.masks"])
         assert world.client.ask("status")["changes"] != []
-        done = browser.ask("do", action="import", arguments={"text": "motion: {scale_x: 2.0}"})
+        done = act(browser, "import", text="motion: {scale_x: 2.0}")
         assert done["type"] == "done"
-        saved = browser.ask("do", action="save")
+        saved = act(browser, "save")
         assert saved["type"] == "done", saved
         written = world.config.read_text()
         assert "# a note" in written
         assert "scale_x: 2.0" in written
-        assert "the imported file:1" in browser.ask("do", action="import", arguments={"text": "motion: ["})["text"]
+        assert "the imported file:1" in act(browser, "import", text="motion: [")["text"]
 
 
 def test_settings_that_cannot_be_saved_stay_with_the_reason_and_a_remedy(world, page):
@@ -253,7 +260,7 @@ def test_where_the_daemon_saves_itself_the_page_leaves_it_to_it(film, tmp_path, 
     with serving(world.socket) as page, Browser(page) as browser:
         browser.until("hello", lambda m: m["settings"])
         browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
-        assert browser.ask("do", action="save")["message"] == f"{world.saved}: saved: motion.scale_x=2.0"
+        assert act(browser, "save")["message"] == f"{world.saved}: saved: motion.scale_x=2.0"
         browser.until("status", lambda m: m["status"]["saved"] and not m["status"]["changes"])
     assert world.config.read_text() == before
     world.stop()
@@ -262,43 +269,34 @@ def test_where_the_daemon_saves_itself_the_page_leaves_it_to_it(film, tmp_path, 
 def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
     with Browser(page, owner=False) as stranger, Browser(page) as owner:
         assert stranger.until("hello")["owner"] is False
-        for words in (
-            {"type_": "set", "values": {"motion.scale_x": 2}, "gesture": "g"},
-            {"type_": "do", "action": "pause"},
-        ):
-            answer = stranger.ask(words.pop("type_"), **words)
-            assert "`spheremouse view --url` prints" in answer["text"]
+        refused = act(stranger, "pause"), stranger.ask("set", values={"motion.scale_x": 2}, gesture="g")
+        assert all("`spheremouse view --url` prints" in answer["text"] for answer in refused)
         assert world.client.ask("status")["changes"] == []
-        masked, whole = (next(f for f in (b.frame() for _ in range(50)) if f["jpeg"]) for b in (stranger, owner))
-        black = [float((simplejpeg.decode_jpeg(f["jpeg"]).max(axis=2) < 20).mean()) for f in (masked, whole)]
-        assert black[0] > 0.3
-        assert black[1] < 0.2
-
-
-def guided(browser, **arguments):
-    """The answer to an action of the guide."""
-    return browser.ask("do", action="guide", arguments=arguments)
+        pictures = (simplejpeg.decode_jpeg(each.picture()["jpeg"]) for each in (stranger, owner))
+        masked, whole = (float((picture.max(axis=2) < 20).mean()) for picture in pictures)  # black parts
+        assert masked > 0.3
+        assert whole < 0.2
 
 
 @pytest.mark.slow
 def test_the_guide_looks_through_the_camera_and_runs_the_command_of_the_next_step_alone(tmp_path):
     cabinet = tmp_path / "cabinet"
     with serving(tmp_path / "s", cabinet=cabinet, source=f"dataset:{CLIP}") as port, Browser(port) as browser:
-        guided(browser, do="look")
+        act(browser, "guide", do="look")
         seen = browser.until("guide", lambda m: m["picture"])
         assert simplejpeg.decode_jpeg(base64.b64decode(seen["picture"])).shape == (960, 1280, 3)
         assert any(line.startswith("targets") for line in seen["check"]["lines"])
-        step = next(step for step in guided(browser, do="steps")["data"]["steps"] if step["state"] == "next")
+        step = next(step for step in act(browser, "guide", do="steps")["data"]["steps"] if step["state"] == "next")
         assert step["command"] == f"spheremouse calibrate init {cabinet}"
         for wrong in ({"step": "rig.yaml", "number": 0}, {"step": "folder", "number": 1}, {"step": "folder"}):
-            assert "the steps have changed" in guided(browser, do="run", **wrong)["text"]
-        assert "mm" in guided(browser, do="run", step="folder", number=0, square="2; rm")["text"]
-        assert "the steps have changed" in guided(browser, do="describe", text="targets: []")["text"]
+            assert "the steps have changed" in act(browser, "guide", do="run", **wrong)["text"]
+        assert "mm" in act(browser, "guide", do="run", step="folder", number=0, square="2; rm")["text"]
+        assert "the steps have changed" in act(browser, "guide", do="describe", text="targets: []")["text"]
         assert not cabinet.exists()
-        guided(browser, do="run", step="folder", number=0)
+        act(browser, "guide", do="run", step="folder", number=0)
         ended = browser.until("guide", lambda m: not m["running"] and m["lines"])
         assert (ended["problem"], "device.yaml: written" in ended["lines"][0]) == ("", True)
-        steps = guided(browser, do="steps")["data"]["steps"]
+        steps = act(browser, "guide", do="steps")["data"]["steps"]
         assert [steps[0]["state"], steps[2]["state"]] == ["done", "next"]
 
 
@@ -309,10 +307,10 @@ def test_the_guide_gives_the_reason_why_a_camera_shows_nothing_to_the_owner_alon
         Browser(port, owner=False) as stranger,
         Browser(port) as browser,
     ):
-        assert "only the owner" in guided(stranger, do="look")["text"]
-        guided(browser, do="look")
+        assert "only the owner" in act(stranger, "guide", do="look")["text"]
+        act(browser, "guide", do="look")
         assert "/dev/no-camera: no such device" in browser.until("guide", lambda m: m["problem"])["problem"]
-        assert "only the owner" in guided(stranger, do="look")["text"]
+        assert "only the owner" in act(stranger, "guide", do="look")["text"]
         assert not [m for m in stranger.seen if m["type"] == "guide"]
 
 
@@ -325,11 +323,6 @@ def clip(world):
     (folder / "nonsense").mkdir()
     (folder / "nonsense/scene.json").write_text("{}")
     return "clip"
-
-
-def act(browser, action, **arguments):
-    """The answer to an action."""
-    return browser.ask("do", action=action, arguments=arguments)
 
 
 def replayed(browser, name):
@@ -368,9 +361,7 @@ def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_th
         status = browser.until("status", lambda m: m["status"])["status"]
         assert status["source"]["replay"]["frames"] == 50
         assert status["changes"] == ["motion.scale_x=2.0"]
-        while not (frame := browser.frame())["jpeg"]:
-            pass
-        assert simplejpeg.decode_jpeg(frame["jpeg"]).shape == (480, 640, 3)
+        assert simplejpeg.decode_jpeg(browser.picture()["jpeg"]).shape == (480, 640, 3)
         assert browser.ask("set", values={"so3.acceleration_sigma": 20.0}, gesture="h")["type"] == "done"
         assert act(browser, "replay", speed=0.5, step=True)["type"] == "done"
         browser.until("status", lambda m: m["status"] and m["status"]["state"] == "paused")
@@ -413,53 +404,46 @@ def test_a_replay_that_ends_at_its_start_is_reported_once(world, page, clip):
         assert [m["id"] for m in browser.seen if m["type"] == "trouble"] == [1]  # the answer
 
 
-@pytest.mark.parametrize("cookies", ["a=b; {}", "{}; other[1]=\xe4", '=;; x="; {}'])
-def test_the_token_is_found_among_cookies_of_other_pages(alone, cookies):
-    ours = f"spheremouse-{alone}={TOKEN}"
-    with Browser(alone, owner=False, additional_headers={"Cookie": cookies.format(ours)}) as browser:
-        assert browser.until("hello")["owner"] is True
+def test_the_token_of_the_page_makes_an_owner_and_no_other_cookie_does(alone):
+    name = f"spheremouse-{alone}"
+    ours = f"{name}={TOKEN}"
+    others = ("", f"{name}=wrong", f"{name}=", f"other={TOKEN}", f"spheremouse={TOKEN}", f"{name}1={TOKEN}")
+    for owner, cookies in (
+        (True, (f"a=b; {ours}", f"{ours}; other[1]=\xe4", f'=;; x="; {ours}')),
+        (False, (*others, f"{name}=\xe4", "; ;=;")),
+    ):
+        for cookie in cookies:
+            with Browser(alone, owner=False, additional_headers={"Cookie": cookie}) as browser:
+                assert browser.until("hello")["owner"] is owner, cookie
 
 
-@pytest.mark.parametrize(
-    "cookies", ["", "{}=wrong", "{}=", f"other={TOKEN}", f"spheremouse={TOKEN}", f"{{}}1={TOKEN}", "{}=\xe4", "; ;=;"]
-)
-def test_other_cookies_make_no_owner(alone, cookies):
-    given = cookies.format(f"spheremouse-{alone}")
-    with Browser(alone, owner=False, additional_headers={"Cookie": given}) as browser:
-        assert browser.until("hello")["owner"] is False
-
-
-def test_the_owners_address_has_the_token_of_the_page_that_runs(alone, tmp_path):
+@pytest.fixture
+def token_files(tmp_path):
     """Of an own page and that of the service, each has its own token."""
     for name, token in (("own", "another-token-of-more-than-32-characters"), ("service", TOKEN)):
         (tmp_path / name).write_text(token)
-    own, service = tmp_path / "own", tmp_path / "service"
+    return [tmp_path / "own", tmp_path / "service"]
+
+
+def test_the_owners_address_has_the_token_of_the_page_that_runs(alone, token_files):
+    own, missing = token_files[0], token_files[0].with_name("missing")
     for address in ("127.0.0.1", "0.0.0.0"):
-        assert page_address(address, alone, [own, service]).endswith(f":{alone}/?token={TOKEN}")
-    for files, reason in (([own], "another token"), ([own, tmp_path / "missing"], "missing: cannot be read")):
+        assert page_address(address, alone, token_files).endswith(f":{alone}/?token={TOKEN}")
+    for files, reason in (([own], "another token"), ([own, missing], "missing: cannot be read")):
         with pytest.raises(ControlError, match=reason):
             page_address("127.0.0.1", alone, files)
-    nobody = free_port()
-    assert page_address("127.0.0.1", nobody, [own, service]).endswith("another-token-of-more-than-32-characters")
+    assert page_address("127.0.0.1", free_port(), token_files).endswith("another-token-of-more-than-32-characters")
 
 
-def lan_address():
-    """Return an address of this computer in its network."""
+def test_the_owners_address_at_an_address_in_the_network_has_the_token_of_the_page_that_runs(tmp_path, token_files):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         try:
             link.connect(("192.0.2.1", 1))  # sends nothing
         except OSError:
             pytest.skip("this computer has no network")
-        return link.getsockname()[0]
-
-
-def test_the_owners_address_at_an_address_in_the_network_has_the_token_of_the_page_that_runs(tmp_path):
-    (tmp_path / "own").write_text("another-token-of-more-than-32-characters")
-    (tmp_path / "service").write_text(TOKEN)
-    address = lan_address()
+        address = link.getsockname()[0]
     with serving(tmp_path / "s", address=address) as port:
-        found = page_address(address, port, [tmp_path / "own", tmp_path / "service"])
-    assert found == f"http://{address}:{port}/?token={TOKEN}"
+        assert page_address(address, port, token_files) == f"http://{address}:{port}/?token={TOKEN}"
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "http://localhost:1"])
@@ -488,16 +472,8 @@ def test_files_are_served_with_a_policy_and_no_other_path_is_opened(alone):
 
 def test_garbage_is_answered_in_one_line_and_the_connection_stays(page):
     with Browser(page) as browser:
-        for garbage in (
-            "",
-            "{",
-            "[]",
-            '{"type":"x"}',
-            '{"type":[]}',
-            '{"type":"set"}',
-            "9" * 90_000,
-            '{"type":"do","id":"a"}',
-        ):
+        messages = ('{"type":"x"}', '{"type":[]}', '{"type":"set"}', '{"type":"do","id":"a"}')
+        for garbage in ("", "{", "[]", "9" * 90_000, *messages):
             browser.socket.send(garbage)
             assert "\n" not in browser.until("trouble")["text"]
             assert browser.frame()
@@ -581,13 +557,12 @@ def test_the_page_outlives_the_daemon_and_a_browser_the_page(world):
         world.stop()
         world.client.close()
         assert browser.until("status", lambda m: not m["status"])["reason"]
-        assert "no daemon" in browser.ask("do", action="pause")["text"]
+        assert "no daemon" in act(browser, "pause")["text"]
         world.start()
         world.reach("tracking")
         begun = time.monotonic()
         browser.until("status", lambda m: m["status"])
-        while not browser.frame()["jpeg"]:
-            pass
+        browser.picture()
         assert time.monotonic() - begun < 5.0
 
 
@@ -597,8 +572,8 @@ def test_a_browser_that_never_reads_holds_up_nobody(world, page):
             idle.socket.send('{"type":"next"}')
         for _ in range(20):
             browser.frame()
-        browser.ask("do", action="pause")
-        browser.ask("do", action="resume")
+        act(browser, "pause")
+        act(browser, "resume")
 
 
 def test_silent_connections_lose_their_places(alone, monkeypatch):
@@ -629,9 +604,6 @@ def test_the_process_loads_neither_scipy_nor_opencv():
 
 
 def test_the_page_stays_small():
-    def lines(*patterns):
-        files = [file for pattern in patterns for file in Path(server_module.__file__).parent.glob(pattern)]
-        return sum(len(file.read_text().splitlines()) for file in files)
-
-    assert lines("*.py") <= 1200
-    assert lines("static/*.js", "static/*.css") <= 2800
+    folder = Path(server_module.__file__).parent
+    for files, limit in (("*.py", 1200), ("static/*.[jc]s*", 2800)):
+        assert sum(len(file.read_text().splitlines()) for file in folder.glob(files)) <= limit
