@@ -26,7 +26,7 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_or_a_profile_told(s
         spheremouse.succeed("axes", "--config", file, "--profile", name, "--source", FILM)
     assert motion in file.read_text()
     profiles = config.load(file, Configuration).profiles
-    found = ("motion.player='far-side'", "motion.invert_y=False")
+    found = ("motion.player='far-side'", "motion.invert_y=false")
     assert set(profiles["doom"]) == {"motion.scale_x=2", *found}
     assert set(profiles["menu"]) == set(found)
     assert "--profile doom: needs --config FILE" in spheremouse.fail("axes", "--profile", "doom", "--source", FILM)

@@ -39,7 +39,8 @@ def test_two_recordings_are_tied_and_tracked_as_one(tmp_path):
     assert len(stamps) > 1.9 * 8 * 30
     assert stamps == sorted(stamps)
     # each by its own rig; the truth is that of both, in the axes of the first
-    result = json.loads(succeed(app, "evaluate", front, "--beside", side, "--json", "-"))
+    succeed(app, "evaluate", front, "--beside", side, "--json", tmp_path / "figures.json")
+    result = json.loads((tmp_path / "figures.json").read_text())
     assert (result["dataset"], result["frames"], result["tracked"]) == ("front and side", 480, 480)
     assert result["attitude_rmse_deg"]["combined"] < 0.03
     assert result["nees"]["attitude"] < 3.0
