@@ -78,12 +78,8 @@ class Device:
             self._damaged(line)
             self._owe_identity(line, False)
             return
-        if content[0] != VERSION or length != (
-            _HELLO_LENGTH if kind == HELLO else _MOTION_LENGTH if kind == MOTION else _BARE_LENGTH
-        ):
-            self._damaged(line)
-            return
-        if kind == 0 or kind > STOP:
+        expected = _HELLO_LENGTH if kind == HELLO else _MOTION_LENGTH if kind == MOTION else _BARE_LENGTH
+        if content[0] != VERSION or length != expected or kind == 0 or kind > STOP:
             self._damaged(line)
             return
         self.frames = (self.frames + 1) & _COUNT
@@ -105,7 +101,7 @@ class Device:
         elif kind == STOP:
             if line is self._line:
                 self._end()
-            self._owe_ack(line, number, False)
+            self._owe_ack(line, number)
         else:
             line.owes_status = True
 
@@ -149,7 +145,7 @@ class Device:
         self._owe_identity(line, True)
 
     def _motion(self, line, number, newer, now):
-        self._owe_ack(line, number, False)
+        self._owe_ack(line, number)
         if not newer:
             self._refuse(now)
             return
@@ -274,9 +270,9 @@ class Device:
             line.hello[k] = line.content[4 + k] if echo else 0
         line.owes_identity = True
 
-    def _owe_ack(self, line, number, too_large):
+    def _owe_ack(self, line, number):
         line.answered = number
-        line.too_large = too_large
+        line.too_large = False
         line.owes_ack = True
 
     def _flags(self, line):
