@@ -17,50 +17,41 @@ from spheremouse.errors import SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-_COMMANDS = {
-    # name: module, function or group in it, last line of its help
-    "run": ("run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
-    "track": (
-        "track", "track", "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
-    ),
-    "ball": ("ball", "ball", "Example: spheremouse ball film.mkv --vfov 45 --out mouse"),
-    "import-fictrac": (
-        "import_fictrac", "import_fictrac", "Example: spheremouse import-fictrac config.txt --out mouse",
-    ),
-    "export": ("export", "export", "Example: spheremouse export demo/roll roll.mcap"),
-    "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
-    "simulate": (
-        "simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
-    ),
-    "evaluate": (
-        "evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
-    ),
-    "tune": ("tune", "tune", "Example: spheremouse tune demo/roll --budget 5min --output tuned.yaml"),
-    "match": ("match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
-    "log-mouse": ("log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
-    "bench": ("bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
-    "layout": ("layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
-    "preview": ("preview", "preview", "Example: spheremouse preview v4l2:/dev/video0 --every 1"),
-    "doctor": ("doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
-    "tray": ("tray", "tray", "Example: spheremouse tray"),
-    "view": ("view", "view", "Example: spheremouse view --port 8765"),
-    "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
-    "service": ("service", "app", "Example: sudo spheremouse service install"),
-    "wand": ("wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
-    "config": ("config", "app", "Example: spheremouse config init spheremouse.yaml"),
-    "axes": ("axes", "axes", "Example: spheremouse axes --config cabinet/config.yaml"),
-    "calibrate": ("calibrate", "app", "Begin with: spheremouse calibrate next"),
-    "firmware": ("firmware", "app", "Example: spheremouse firmware check"),
-    "map": ("map", "app", "Example: spheremouse map show rig.map.yaml"),
-}  # fmt: skip
+_COMMANDS = {  # the last line of their help, by their names, which are those of their modules
+    "run": "Example: spheremouse run --source dataset:demo/roll --output text:-",
+    "track": "Example: spheremouse track demo/roll --smooth --output text:roll.jsonl",
+    "ball": "Example: spheremouse ball film.mkv --vfov 45 --out mouse",
+    "import-fictrac": "Example: spheremouse import-fictrac config.txt --out mouse",
+    "export": "Example: spheremouse export demo/roll roll.mcap",
+    "demo": "Example: spheremouse demo --seconds 20 --seed 2",
+    "simulate": "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
+    "evaluate": "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
+    "tune": "Example: spheremouse tune demo/roll --budget 5min --output tuned.yaml",
+    "match": "Example: spheremouse match recording trackball.csv --out trackball.yaml",
+    "log-mouse": "Example: spheremouse log-mouse --device Logitech --out trackball.csv",
+    "bench": "Example: spheremouse bench --steps 100000 --json speed.json",
+    "layout": "Example: spheremouse layout --discs 26 --out calibration/placement-26",
+    "preview": "Example: spheremouse preview v4l2:/dev/video0 --every 1",
+    "doctor": "Example: spheremouse doctor --source dataset:demo/roll",
+    "tray": "Example: spheremouse tray",
+    "view": "Example: spheremouse view --port 8765",
+    "ctl": "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon.",
+    "service": "Example: sudo spheremouse service install",
+    "wand": "Example: spheremouse wand simulate demo/drive --seed 1",
+    "config": "Example: spheremouse config init spheremouse.yaml",
+    "axes": "Example: spheremouse axes --config cabinet/config.yaml",
+    "calibrate": "Begin with: spheremouse calibrate next",
+    "firmware": "Example: spheremouse firmware check",
+    "map": "Example: spheremouse map show rig.map.yaml",
+}
 
 
 class _Commands(UserDict[str, Any]):
     """The commands by their names. Each module is loaded at the first use of its command."""
 
     def __getitem__(self, name: str) -> Any:
-        if isinstance(self.data[name], tuple):
-            self.data[name] = _load_command(name, *self.data[name])
+        if isinstance(self.data[name], str):
+            self.data[name] = _load_command(name, self.data[name])
         return self.data[name]
 
 
@@ -70,14 +61,14 @@ class _Group(TyperGroup):
         self.commands = _Commands(_COMMANDS)
 
 
-def _load_command(name: str, module: str, attribute: str, epilog: str) -> Any:
-    """Import a command `attribute` of a module, or a group of commands, and return it under `name`."""
-    found = getattr(import_module(f"spheremouse.commands.{module}"), attribute)
-    one = _new_typer()
-    if isinstance(found, typer.Typer):
-        one.add_typer(found, name=name, epilog=epilog)
+def _load_command(name: str, epilog: str) -> Any:
+    """Return a command, the function of its module's name, or the group of commands that is the module's `app`."""
+    function = name.replace("-", "_")
+    module, one = import_module(f"spheremouse.commands.{function}"), _new_typer()
+    if hasattr(module, "app"):
+        one.add_typer(module.app, name=name, epilog=epilog)
         return typer.main.get_group(one).commands[name]
-    one.command(name, epilog=epilog)(found)
+    one.command(name, epilog=epilog)(getattr(module, function))
     return typer.main.get_command(one)
 
 

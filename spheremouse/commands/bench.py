@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -180,8 +181,6 @@ def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
 
 def _fitting(film: Film, frames: "Iterator[Frame]") -> "list[Frame]":
     """Return the first frames of a film, as many as memory may hold."""
-    from itertools import islice
-
     size = film.rig.camera.width * film.rig.camera.height * 3
     found = list(islice(frames, max(_MAX_FRAME_BYTES // size, WARM_UP + 1)))
     if len(found) <= WARM_UP:

@@ -1,7 +1,7 @@
 """`spheremouse config`: print the settings in force, check a file, write a new one."""
 
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -11,23 +11,17 @@ from spheremouse.errors import SpheremouseError
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
 
 
-def root() -> type[Any]:
-    """Return the class of all settings; imported late, since it loads the whole core."""
-    from spheremouse.session.settings import Configuration
-
-    return Configuration
-
-
 @app.command()
 def show(file: ConfigFile = None, assignments: Assignments = None) -> None:
     """Print the settings in force, with the default of each one that differs from it."""
     from spheremouse.files import config
+    from spheremouse.session.settings import Configuration
 
     try:
-        settings = config.in_force(file, assignments or (), root())
+        settings = config.in_force(file, assignments or (), Configuration)
     except SpheremouseError as e:
         _fail(e)
-    typer.echo(config.dump(settings, root()()), nl=False)
+    typer.echo(config.dump(settings, Configuration()), nl=False)
 
 
 @app.command()
@@ -40,10 +34,11 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
     from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document
     from spheremouse.session.config_check import validate
+    from spheremouse.session.settings import Configuration
 
     try:
         document = read_document(file)
-        found = validate(file, config.loads(document, root()))
+        found = validate(file, config.loads(document, Configuration))
     except SpheremouseError as e:
         _fail(e)
     problems = [*found.wrong, *(Problem(p.key, f"warning: {p.text}") for p in found.now)]
@@ -64,10 +59,11 @@ def init(
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files import config
     from spheremouse.files.safe_files import write_atomically
+    from spheremouse.session.settings import Configuration
 
     try:
         check_outputs([file], [], force=force)
-        write_atomically(file, config.dump_commented(root()(), None if everything else getattr(root(), "COMMON", None)))
+        write_atomically(file, config.dump_commented(Configuration(), None if everything else Configuration.COMMON))
     except SpheremouseError as e:
         _fail(e)
     typer.echo(f"{file}: written")

@@ -62,8 +62,7 @@ def _write(file: "BufferedWriter", plan: "RunConfig") -> int:
     with source, progress_bar() as progress:
         writer = McapWriter(file, describe_run(plan))
         adapter = setup.adapter(plan, writer.log, here)
-        task = progress.add_task("exporting", total=source.count)
-        frames = adapter.begin(iter(progress.track(source, source.count, task_id=task)))
+        frames = adapter.begin(iter(progress.track(source, source.count, description="exporting")))
         offline.follow(offline.results(frames, adapter), adapter, {}, writer)
         failure = adapter.failure("")
         if failure is not None:

@@ -40,7 +40,9 @@ def show(section: Section, console: Console) -> None:
     table.add_column(width=_NAME_COLUMNS, no_wrap=True)
     table.add_column(ratio=1, overflow="fold")
     for finding in section.findings:
-        table.add_row(_mark(finding, console), finding.name, _words(finding, console))
+        sign, plain, style = _STYLES[finding.verdict]
+        mark = Text(f"{sign if _draws(console) else plain} {finding.verdict}", style=style)
+        table.add_row(mark, finding.name, _words(finding, console))
     console.print(Padding(table, (0, 0, 0, 2)))
 
 
@@ -76,11 +78,6 @@ def data(sections: Sequence[Section]) -> dict[str, Any]:
             for f in section.findings
         ],
     }
-
-
-def _mark(finding: Finding, console: Console) -> Text:
-    sign, plain, style = _STYLES[finding.verdict]
-    return Text(f"{sign if _draws(console) else plain} {finding.verdict}", style=style)
 
 
 def _words(finding: Finding, console: Console) -> Text:

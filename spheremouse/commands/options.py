@@ -7,7 +7,7 @@ or a list is its form, WxH or X,Y,Z. A length in m may be typed with its unit.
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
-from functools import wraps
+from functools import partial, wraps
 from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -113,9 +113,7 @@ def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         written = dict(inspect.signature(command).parameters)
         kind = written["options"].annotation
-        made = [
-            _option(field, names.get(field.name, ())) if field.metadata else _as_typed(field) for field in fields(kind)
-        ]
+        made = [_option(field, names.get(field.name, ())) for field in fields(kind)]
         signature = inspect.Signature([p for name in written for p in (made if name == "options" else [written[name]])])
 
         @wraps(command)
@@ -132,13 +130,12 @@ def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
     return decorate
 
 
-def _as_typed(field: "Field[Any]") -> inspect.Parameter:
-    default = inspect.Parameter.empty if field.default is MISSING else field.default
-    return inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=field.type)
-
-
 def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
-    """Return the command-line option of a settings field: its unit and bounds become metavar and limits."""
+    """Return the command-line option of a field: a setting's unit and bounds become metavar and limits."""
+    parameter = partial(inspect.Parameter, field.name, inspect.Parameter.KEYWORD_ONLY)
+    if not field.metadata:  # with typer's annotation
+        default = inspect.Parameter.empty if field.default is MISSING else field.default
+        return parameter(default=default, annotation=field.type)
     unit, bounds, annotation, default = field.metadata["unit"], field.metadata["bounds"], field.type, field.default
     metavar: str | None = unit.upper()
     if _is_word(unit):
@@ -152,8 +149,7 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
     option = typer.Option(
         *names, metavar=metavar, min=bounds.get("ge"), max=bounds.get("le"), help=field.metadata["meaning"]
     )
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(field.name, kind, default=default, annotation=Annotated[annotation, option])
+    return parameter(default=default, annotation=Annotated[annotation, option])
 
 
 # ---- words ----

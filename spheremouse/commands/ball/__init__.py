@@ -2,13 +2,12 @@
 
 import math
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.options import Force, with_fields
+from spheremouse.commands.options import Force
 from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
 
 if TYPE_CHECKING:
@@ -29,10 +28,7 @@ _MAX_OFF_PX, _MAX_OFF_RADII = 4.0, 0.04  # px, and part of the radius, that a po
 _MAX_RELATIVE_SIGMA = 0.05  # of the angular radius
 
 
-@dataclass(frozen=True, slots=True)
-class BallOptions:
-    """Options of the command."""
-
+def ball(
     source: Annotated[
         str,
         typer.Argument(
@@ -40,8 +36,8 @@ class BallOptions:
             show_default=False,
             help="A film, a recording, or another source as of `run --source`. The camera must stand still.",
         ),
-    ]
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("ball")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("ball"),
     vfov: Annotated[
         float | None,
         typer.Option(
@@ -51,10 +47,10 @@ class BallOptions:
             help="Field of view from the upper to the lower edge of the picture.  [default: the recording's camera, "
             f"else {DEFAULT_VFOV:g}]",
         ),
-    ] = None
+    ] = None,
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Calibrated interior orientation, in place of --vfov.")
-    ] = None
+    ] = None,
     points: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,14 +58,11 @@ class BallOptions:
             help="Three or more points on the ball's outline, px, in place of the search. [0, 0 is the upper left "
             "pixel]",
         ),
-    ] = None
-    more_points: Annotated[list[str] | None, typer.Argument(metavar="X,Y", hidden=True)] = None
-    seconds: Annotated[float, typer.Option(metavar="S", min=0.5, help="Search in the first S seconds.")] = 10.0
-    force: Force = False
-
-
-@with_fields()
-def ball(*, options: BallOptions) -> None:
+    ] = None,
+    more_points: Annotated[list[str] | None, typer.Argument(metavar="X,Y", hidden=True)] = None,
+    seconds: Annotated[float, typer.Option(metavar="S", min=0.5, help="Search in the first S seconds.")] = 10.0,
+    force: Force = False,
+) -> None:
     """Find a ball that turns in a film by its outline, and write a folder with which `run` and `track` follow it.
 
     It needs no calibration, no ring targets and no discs. Lengths are in radii of the ball. Rates are in the camera's
@@ -81,34 +74,33 @@ def ball(*, options: BallOptions) -> None:
     from spheremouse.files.rig import load_camera
     from spheremouse.tracker import Frame, check_size
 
-    o = options
-    if o.camera is not None and o.vfov is not None:
+    if camera is not None and vfov is not None:
         raise ConfigurationError("--camera and --vfov: give one of the two")
-    if o.more_points and o.points is None:
-        raise ConfigurationError(f"{o.more_points[0]}: give one film; points come after --points")
-    points = None if o.points is None else parse_points([*o.points, *(o.more_points or ())])
-    check_folder(o.out, [o.camera], o.force)
-    known = None if o.camera is None else load_camera(o.camera)
-    spec = source_spec(o.source)
-    images, recorded = film(spec, None if points is not None else o.seconds)
-    known = known or (None if o.vfov else recorded)
-    camera = known or pinhole(images[0].shape[1::-1], o.vfov or DEFAULT_VFOV)
-    check_size(Frame(images[0], 0.0, 0), camera)
-    if points is None:
-        outline, points = find_outline(images, camera)
+    if more_points and points is None:
+        raise ConfigurationError(f"{more_points[0]}: give one film; points come after --points")
+    outlined = None if points is None else parse_points([*points, *(more_points or ())])
+    check_folder(out, [camera], force)
+    known = None if camera is None else load_camera(camera)
+    spec = source_spec(source)
+    images, recorded = film(spec, seconds if outlined is None else None)
+    known = known or (None if vfov else recorded)
+    lens = known or pinhole(images[0].shape[1::-1], vfov or DEFAULT_VFOV)
+    check_size(Frame(images[0], 0.0, 0), lens)
+    if outlined is None:
+        outline, outlined = find_outline(images, lens)
     else:
-        outline = fit_outline(rays_of(points, camera), POINT_PX / math.sqrt(camera.fx * camera.fy))
-        check_points(points, outline, camera)
-    rig = rig_of(outline, camera)
-    picture = draw_outline(images[-1], outline.pixels(camera), points[:: max(1, len(points) // _MAX_MARKS)])
-    write_folder(o.out, rig, picture, spec, (), "spheremouse ball")
+        outline = fit_outline(rays_of(outlined, lens), POINT_PX / math.sqrt(lens.fx * lens.fy))
+        check_points(outlined, outline, lens)
+    rig = rig_of(outline, lens)
+    picture = draw_outline(images[-1], outline.pixels(lens), outlined[:: max(1, len(outlined) // _MAX_MARKS)])
+    write_folder(out, rig, picture, spec, (), "spheremouse ball")
     print(describe(outline, rig))
-    if known is None and o.vfov is None:
+    if known is None and vfov is None:
         print(
             f"assumed: a field of view of {DEFAULT_VFOV:g}° from top to bottom. If it is a tenth too large, rotations "
             f"across the view come out {1.0 - rotation_scale(outline, 1.1):.1%} too small. Give --vfov if you can"
         )
-    print(next_steps(o.out, "csv:ball.csv"))
+    print(next_steps(out, "csv:ball.csv"))
 
 
 def parse_points(texts: list[str]) -> "Array":

@@ -60,11 +60,11 @@ def device(
     from spheremouse.calibrate.guide.folder import axes_command
     from spheremouse.calibrate.photos import check_size, provenance, read_photos
     from spheremouse.calibrate.report.device import device_json, print_device, write_device_report
-    from spheremouse.commands.config import root
     from spheremouse.files.ball_map import map_path, save_map, saved_now
     from spheremouse.files.config import in_force
     from spheremouse.files.device import UNTOUCHED, is_untouched, load_device
     from spheremouse.files.rig import load_camera, save_rig
+    from spheremouse.session.settings import Configuration
 
     report_file, map_file = report or out.with_suffix(".html"), map_path(out)
     figures_file = json_file or out.with_suffix(".json")
@@ -77,7 +77,7 @@ def device(
             f"{device_file}: not filled in yet; enter your targets and distances, then delete its first line "
             f"({UNTOUCHED.partition(':')[0]} ...); if it is all true of your device already, delete that line alone"
         )
-    settings_used = in_force(config, settings or (), root())
+    settings_used = in_force(config, settings or (), Configuration)
     photos_read = read_photos(photos, note=note)
     check_size(photos_read, camera, camera_file)
     calibration = _calibrate(photos_read, described, camera, device_file, settings_used)

@@ -65,8 +65,8 @@ def photos(
     from spheremouse.calibrate.photographing.session import JsonScreen, open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
-    from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
+    from spheremouse.session.settings import Configuration
 
     if picture is not None and (not as_json or picture.suffix != ".jpg"):
         raise CalibrationError(f"--picture {picture}: needs --json, and a name that ends in .jpg")
@@ -76,7 +76,7 @@ def photos(
         raise CalibrationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
     known = chosen_board(folder, board, square, marker, dictionary)
     own = folder / "config.yaml"
-    configured = in_force(config or (own if own.exists() else None), settings or (), root())
+    configured = in_force(config or (own if own.exists() else None), settings or (), Configuration)
     place = folder / ("board" if what == "camera" else "device")
     begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
     with nullcontext(JsonScreen(picture)) if as_json else open_screen(sound) as screen:

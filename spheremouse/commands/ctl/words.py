@@ -43,7 +43,7 @@ def status_table(s: StatusReport) -> Panel:
     rows.add_row("frames", _frames(s))
     rows.add_row("latency", _latency(s.latency_ms))
     if s.balls is None:
-        rows.add_row("points", f"{_n(s.discs)} used, {_n(s.discs_seen)} seen, {_n(s.discs_known)} known")
+        rows.add_row("points", f"{_number(s.discs)} used, {_number(s.discs_seen)} seen, {_number(s.discs_known)} known")
         rows.add_row("pose", _pose(s.pose))
         if s.centre_shift_mm is not None and s.centre_shift_mm >= _MIN_SHIFT_MM:
             rows.add_row("centre", f"{s.centre_shift_mm:.0f} mm from its place: worn bearings, or an inexact rig")
@@ -98,7 +98,7 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
     parts = [
         f"{event.fps:>5.1f} frames/s",
         f"latency {_number(latency.p50, '.1f')}, 99 % {_number(latency.p99, '.1f')} ms" if latency else "no latency",
-        f"{_n(event.discs)}/{_n(event.discs_known)} points"
+        f"{_number(event.discs)}/{_number(event.discs_known)} points"
         if event.balls is None
         else ", ".join(f"{printable(b.name)} {printable(b.state)}" for b in event.balls),
     ]
@@ -187,12 +187,8 @@ def span(seconds: float) -> str:
     return f"{seconds / 86400.0:.0f} days"
 
 
-def _number(value: float | None, form: str) -> str:
+def _number(value: float | None, form: str = "") -> str:
     return "-" if value is None else format(value, form)
-
-
-def _n(value: int | None) -> str:
-    return "-" if value is None else str(value)
 
 
 def _text(value: str) -> Text:

@@ -157,12 +157,12 @@ class Footage:
     views: tuple[Frame, ...]
     fps: float | None  # Hz, as promised
     live: bool
-    stamped: bool  # stamps are the camera's own
-    damaged: int
-    notes: tuple[str, ...]  # on stamps, and on the end of the frames
-    description: str
-    rig: Rig | None  # of the source
-    controls: Controls | None
+    damaged: int = 0
+    notes: tuple[str, ...] = ()  # on stamps, and on the end of the frames
+    stamped: bool = False  # stamps are the camera's own
+    description: str = ""
+    rig: Rig | None = None  # of the source
+    controls: Controls | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -232,20 +232,7 @@ def _footage(raws: Iterable[RawFrame], seconds: float, fps: float | None, *, liv
             raise
         notes = (str(e),)
     stamps, arrivals, sequence = np.array(times, dtype=float).reshape(-1, 3).T
-    return Footage(
-        stamps,
-        arrivals,
-        sequence.astype(int),
-        tuple(views),
-        fps,
-        live,
-        stamped=False,
-        damaged=damaged,
-        notes=notes,
-        description="",
-        rig=None,
-        controls=None,
-    )
+    return Footage(stamps, arrivals, sequence.astype(int), tuple(views), fps, live, damaged, notes)
 
 
 # ---- times ----

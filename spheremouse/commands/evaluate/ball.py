@@ -124,9 +124,8 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
     since = recording.seconds - recording.seconds[0]
     total = int(np.count_nonzero((since >= options.begin) & (since < options.end)))
     with terminal.progress_bar() as progress:
-        task = progress.add_task(recording.name, total=total)
         numbered = section(numbered_frames(recording), options.begin, options.end)
-        frames = progress.track(numbered, total, task_id=task)
+        frames = progress.track(numbered, total, description=recording.name)
         passed_over: list[str] = []  # reasons why the first views gave no pose, if later ones did
         run = run_ball(
             degrade(iter(frames), options.noise, options.brightness), rig, settings, known, passed_over.append, others

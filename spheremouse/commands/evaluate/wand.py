@@ -71,8 +71,8 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
 
 def _run(recording: WandRecording, tracker: WandTracker, seed: int, known: Known | None) -> WandHistory:
     with terminal.progress_bar() as progress:
-        task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
-        frames = progress.track(read_frames(recording), recording.frames, task_id=task)
+        description = f"{recording.name}, seed {seed}"
+        frames = progress.track(read_frames(recording), recording.frames, description=description)
         return run_wand(frames, tracker, seed, known)
 
 

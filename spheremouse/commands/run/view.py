@@ -46,10 +46,7 @@ class RunView:
             self.log(describe(adapter.resection, adapter.rig))
         self._screen.show(result, self.tally)
         if self.overlay is not None and result.frame.camera == 0:
-            self._draw(self.overlay, result, adapter)
-
-    def _draw(self, overlay: OverlayFile, result: FrameResult, adapter: TrackerAdapter) -> None:
-        marks, sample, image = adapter.annotations(result), result.samples[result.pointing], result.frame.image
-        drawing = self._drawing = self._drawing or Overlay(overlay.scale(image.shape[1]))
-        drawing.remember(marks)
-        overlay.show(lambda: drawing.draw(image, marks, sample, self.tally.counts))
+            marks, sample, image = adapter.annotations(result), result.samples[result.pointing], result.frame.image
+            drawing = self._drawing = self._drawing or Overlay(self.overlay.scale(image.shape[1]))
+            drawing.remember(marks)
+            self.overlay.show(lambda: drawing.draw(image, marks, sample, self.tally.counts))

@@ -171,10 +171,11 @@ def _would(actions: list[service.FileAction]) -> None:
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
     """Return the commands that make systemd, udev and the kernel use the installed files."""
+    listed = (service_files() / "systemd" / "modules-load.conf").read_text(encoding="utf-8")
     commands = [] if place.user else [
         ["systemd-sysusers", "/etc/sysusers.d/spheremouse.conf"],
         ["systemd-tmpfiles", "--create", "/etc/tmpfiles.d/spheremouse.conf"],
-        ["modprobe", "-a", *_modules()],
+        ["modprobe", "-a", *re.findall(r"^\w+$", listed, re.M)],
         ["udevadm", "control", "--reload"],
         ["udevadm", "trigger", *(f"--subsystem-match={s}" for s in ("misc", "video4linux", "tty"))],
     ]  # fmt: skip
@@ -183,11 +184,6 @@ def _activation(place: Place, start: bool) -> list[list[str]]:
         calibrated = (place.configuration / "rig.yaml").exists()
         commands.append([*_systemctl(place), "restart", "--no-block", *([UNIT] if calibrated else []), VIEW_UNIT])
     return commands
-
-
-def _modules() -> list[str]:
-    text = (service_files() / "systemd" / "modules-load.conf").read_text(encoding="utf-8")
-    return re.findall(r"^\w+$", text, re.M)
 
 
 def _systemctl(place: Place) -> list[str]:

@@ -59,11 +59,6 @@ class Place:
         return [self.unit, self.unit.with_name(VIEW_UNIT)]
 
     @property
-    def view_state(self) -> Path:
-        """Folder of the live page's token."""
-        return self.state if self.user else self.at("/var/lib/spheremouse-view")
-
-    @property
     def changes(self) -> Path:
         """Folder of the changes by `systemctl edit`."""
         return self.unit.with_name(f"{UNIT}.d")
@@ -81,8 +76,9 @@ class Place:
 
     @property
     def folders(self) -> list[Path]:
-        """The service's own folders."""
-        return list(dict.fromkeys((self.configuration, self.state, self.view_state, self.changes)))
+        """The service's own folders; the live page's token is in one of the system's."""
+        token = [] if self.user else [self.at("/var/lib/spheremouse-view")]
+        return [self.configuration, self.state, *token, self.changes]
 
     def files(self) -> list[tuple[str, Path]]:
         """Return name in the folder `service/` and path of each file to place, the unit first."""
@@ -239,8 +235,14 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
 
 
 def left(place: Place) -> list[Path]:
-    """Return the paths that an uninstallation without `purge` leaves."""
-    return sorted(p for folder in place.folders for p in _below(folder))
+    """Return the paths that an uninstallation without `purge` leaves, and folders that cannot be listed."""
+    found = list[Path]()
+    for folder in place.folders:
+        try:
+            found += [p for p in folder.rglob("*") if not p.is_dir()]
+        except (OSError, RecursionError):
+            found.append(folder)
+    return sorted(found)
 
 
 def tidy(place: Place) -> None:
@@ -348,10 +350,3 @@ def _remove(path: Path) -> None:
         path.unlink()
     else:
         shutil.rmtree(path)
-
-
-def _below(folder: Path) -> list[Path]:
-    try:
-        return [p for p in folder.rglob("*") if not p.is_dir()]
-    except (OSError, RecursionError):  # it cannot be listed
-        return [folder]

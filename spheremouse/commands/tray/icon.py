@@ -65,7 +65,9 @@ class Tray:
         _wait_for_host(backend, self._closing)
         if self._closing.is_set():
             return
-        self._log(f"icon by {backend}: {_capabilities(self._pystray)}")
+        clicked = "a right click opens the menu, a click estimates the camera pose again"
+        click = clicked if self._pystray.Icon.HAS_DEFAULT_ACTION else "a click opens the menu"
+        self._log(f"icon by {backend}: {click}")
         first = tray.no_daemon("looking for the daemon")
         picture, tip, menu = tray.icon(first.state), tray.tooltip(first), self._menu(tray.menu(first))
         self._icon = self._pystray.Icon("spheremouse", picture, tip, menu)
@@ -182,12 +184,6 @@ def import_system_gi() -> None:
             del sys.modules[name]
 
 
-def _capabilities(pystray: Any) -> str:
-    if pystray.Icon.HAS_DEFAULT_ACTION:
-        return "a right click opens the menu, a click estimates the camera pose again"
-    return "a click opens the menu"
-
-
 def has_host(backend: str) -> bool:
     """Return whether there is a tray for the icon of this backend."""
     if backend == "appindicator" and _status_notifier():
@@ -224,8 +220,8 @@ def _status_notifier() -> bool:
         return False
 
 
-def _wait_for_host(backend: str, closing: threading.Event, seconds: float = _HOST_TIMEOUT_S) -> None:
-    end = time.monotonic() + seconds
+def _wait_for_host(backend: str, closing: threading.Event) -> None:
+    end = time.monotonic() + _HOST_TIMEOUT_S
     while not has_host(backend):
         if time.monotonic() > end:
             raise TrayError(advice(os.environ.get("XDG_CURRENT_DESKTOP", "")))

@@ -76,7 +76,9 @@ class Link:
         """Carry out an action of the menu, and show its result or error."""
         try:
             if action == "page":
-                self.show(_open_page())
+                opened = webbrowser.open(page_address(ADDRESS, PORT, token_files()))  # as its owner
+                page = f"open http://{ADDRESS}:{PORT} in a browser"
+                self.show("the live page is in the browser" if opened else page)
                 return
             command, arguments, done = _ACTIONS[action]
             if action == "reinit":
@@ -89,12 +91,6 @@ class Link:
         finally:
             with self._lock:
                 self._running.discard(action)
-
-
-def _open_page() -> str:
-    """Open the live page in the browser as its owner, and return a note. ControlError if its token cannot be read."""
-    opened = webbrowser.open(page_address(ADDRESS, PORT, token_files()))
-    return "the live page is in the browser" if opened else f"open http://{ADDRESS}:{PORT} in a browser"
 
 
 _ACTIONS: dict[str, tuple[str, dict[str, Any], str]] = {

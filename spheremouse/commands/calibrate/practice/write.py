@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from itertools import permutations
 from pathlib import Path
 
 import cv2
@@ -93,18 +94,15 @@ def device_yaml(stills: Stills) -> str:
 def axes_of(position: Array) -> tuple[int, int, int]:
     """Return the best targets, of those at (n, 3) m in obj, for its axes: origin, up, and one in the plane."""
     best, chosen = np.inf, (0, 1, 2)
-    for a in range(len(position)):
-        for b in range(len(position)):
-            for c in range(len(position)):
-                if len({a, b, c}) == 3:
-                    y, x = position[b] - position[a], position[c] - position[a]
-                    z = np.cross(x, y)
-                    area = np.linalg.norm(z)
-                    if area > 1e-3 * np.linalg.norm(x) * np.linalg.norm(y):
-                        # errors of Y and of the plane, which may face either way
-                        off = 2.0 - y[1] / np.linalg.norm(y) - abs(z[2]) / area
-                        if off < best - 1e-9:
-                            best, chosen = float(off), (a, b, c)
+    for a, b, c in permutations(range(len(position)), 3):
+        y, x = position[b] - position[a], position[c] - position[a]
+        z = np.cross(x, y)
+        area = np.linalg.norm(z)
+        if area > 1e-3 * np.linalg.norm(x) * np.linalg.norm(y):
+            # errors of Y and of the plane, which may face either way
+            off = 2.0 - y[1] / np.linalg.norm(y) - abs(z[2]) / area
+            if off < best - 1e-9:
+                best, chosen = float(off), (a, b, c)
     return chosen
 
 
