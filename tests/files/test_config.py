@@ -378,7 +378,8 @@ def test_every_parameter_of_the_program_says_what_it_is():
 @pytest.fixture
 def run(monkeypatch, tmp_path):
     """`spheremouse config ...` with the settings of this file, in an empty folder."""
-    monkeypatch.setattr(cli_config, "root", lambda: Root)
+    monkeypatch.setattr("spheremouse.session.settings.Configuration", Root)
+    monkeypatch.setattr(Root, "COMMON", None, raising=False)
     monkeypatch.setattr("spheremouse.session.config_check.validate", lambda *_: Found())  # these settings name nothing
     monkeypatch.chdir(tmp_path)
     return lambda *arguments: CliRunner().invoke(cli_config.app, arguments)
@@ -387,7 +388,7 @@ def run(monkeypatch, tmp_path):
 def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path, monkeypatch):
     assert run("init", "my.yaml").output == "my.yaml: written\n"
     assert (tmp_path / "my.yaml").read_text() == config.dump_commented(Root())
-    monkeypatch.setattr(Root, "COMMON", ("outer.inner.count",), raising=False)
+    monkeypatch.setattr(Root, "COMMON", ("outer.inner.count",))
     assert run("init", "few.yaml").output == "few.yaml: written\n"
     assert yaml_file.read_document(tmp_path / "few.yaml").data == {"schema": 2, "outer": {"inner": {"count": 7}}}
     assert run("init", "--all", "all.yaml").output == "all.yaml: written\n"
