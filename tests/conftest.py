@@ -130,6 +130,18 @@ def spheremouse(monkeypatch, capfd):
         signal.signal(number, handler)
 
 
+def central_differences(f, x, h=1e-6):
+    """Return df/dx, (..., k), of a function of one (k,) vector."""
+    return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)
+
+
+def covariance_of(sigmas, seed):
+    """Return a covariance with these standard deviations and strong correlations."""
+    C = np.cov(np.random.default_rng(seed).normal(size=(len(sigmas), 3 * len(sigmas))))
+    s = np.asarray(sigmas) / np.sqrt(np.diag(C))
+    return C * np.outer(s, s)
+
+
 def directions(n: int, seed: int, least: float = 0.2) -> np.ndarray:
     """Unit vectors, (n, 3), of which no two are nearer than `least` rad."""
     rng = np.random.default_rng(seed)

@@ -1,18 +1,12 @@
 """Grey pictures of a ball with discs, cast ray by ray, and what a detector found of them: nothing of it is tested here.
 
-`CLEAN` shows `DISCS` at `TRUTH`, through `PLAIN`, from `POSE`.
+`CLEAN` shows `DISCS` at `TRUTH` to the rig `RIG` from `POSE`.
 """
 
 import cv2
 import numpy as np
+from ball_world import POSE, RIG
 
-from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.geometry.camera import InteriorOrientation, Pose
-
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-RIG = Rig(PLAIN, Ball(0.6), NO_TARGETS, 0.02)
-POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
 FINE = 8  # samples per pixel and axis
 BALL, INK, ROOM = 190.0, 30.0, 90.0
 
@@ -114,6 +108,13 @@ def match(seen, truth, within=3.0):
 def errors(seen, truth):
     i, j = match(seen, truth).T
     return seen.centre[i] - truth[j]
+
+
+def nees(seen, truth, within=3.0):
+    """Squared Mahalanobis distances, (n,), of the detections that match."""
+    i, j = match(seen, truth, within).T
+    e = seen.centre[i] - truth[j]
+    return np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e)
 
 
 DISCS = spread(14, 1)

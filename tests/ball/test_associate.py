@@ -40,34 +40,23 @@ def error(result, R):
     return np.linalg.norm(log(result.rotation @ R.T))
 
 
-def outcomes(trials, sigma=SIGMA, risk=0.05, **more):
-    """Return the numbers of answers and of wrong ones for random attitudes of 25 maps."""
-    rng = np.random.default_rng(1)
-    answers = wrong = 0
+@pytest.mark.parametrize(
+    ("trials", "found", "risk", "points"),
+    [
+        (1500, 0.99, 0.05, {"most": 5, "spurious": 1}),
+        (500, 0.97, 0.05, {"missing": 0.2, "spurious": 1}),
+        (500, 0.5, 1e-3, {"missing": 0.5, "spurious": 5}),
+    ],
+)
+def test_missing_and_spurious_points_make_it_silent_not_wrong(trials, found, risk, points):
+    """Random attitudes of 25 maps; docs/identification_figures.py does 30,000."""
+    rng, answers = np.random.default_rng(1), 0
     for i in range(trials):
-        discs = directions(26, i % 25)
-        R = Rotation.random(random_state=i).as_matrix()
-        result = identified(seen(discs, R, rng, sigma=sigma, **more), discs, sigma, risk=risk)
-        if result is not None:
-            answers += 1
-            wrong += error(result, R) > min(10 * sigma, 0.35)
-    return answers, wrong
-
-
-def test_five_discs_are_found_and_never_mistaken():
-    """Five of the visible discs of 26, and a false one: 1500 attitudes; docs/identification_figures.py does 30,000."""
-    answers, wrong = outcomes(1500, most=5, spurious=1)
-    assert answers > 0.99 * 1500
-    assert wrong == 0
-
-
-def test_missing_and_spurious_points_make_it_silent_not_wrong():
-    answers, wrong = outcomes(500, missing=0.2, spurious=1)
-    assert answers > 0.97 * 500
-    assert wrong == 0
-    answers, wrong = outcomes(500, missing=0.5, spurious=5, risk=1e-3)
-    assert answers > 0.5 * 500
-    assert wrong == 0
+        discs, R = directions(26, i % 25), Rotation.random(random_state=i).as_matrix()
+        result = identified(seen(discs, R, rng, **points), discs, risk=risk)
+        answers += result is not None
+        assert result is None or error(result, R) < 10 * SIGMA
+    assert answers > found * trials
 
 
 def test_an_identification_says_which_is_which():
@@ -221,6 +210,8 @@ def test_rows_that_are_no_number_are_left_out_and_keep_their_place():
         ({"directions": np.zeros((2, 2, 3))}, r"^directions must be unit vectors in rows, \(n, 3\)"),
         ({"view_axis": 2.0 * CAMERA}, "^view_axis must be of unit length"),
         ({"view_axis": np.array([0.0, 1.0])}, "^view_axis must be"),
+        ({"min_sigma": 0.0}, "^min_sigma 0.0 is no standard deviation up to 0.01"),
+        ({"min_sigma": 0.02}, "^min_sigma 0.02 is no standard deviation up to 0.01"),
     ],
 )
 def test_arguments_that_mean_nothing_are_refused_by_name(wrong, problem):

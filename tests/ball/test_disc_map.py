@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ball_world import CAMERA
 from conftest import directions
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
@@ -12,8 +13,8 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.points import directions_at, intersect
 from spheremouse.ball.pose import predict_targets
-from spheremouse.ball.rig import Ball, Rig, Targets, considered_covariance, in_metres
-from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.ball.rig import Ball, Rig, Targets, in_metres
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import tangent_basis
 
 SIGMA = 1e-3
@@ -92,7 +93,6 @@ def test_a_turned_map_has_the_covariance_of_turned_samples():
     np.testing.assert_array_equal(back.sightings, before.sightings)
 
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 UNIT = 0.55  # m
 
 
@@ -132,10 +132,3 @@ def test_metres_change_what_is_seen_by_nothing_and_what_is_known_by_their_unit()
     assert_allclose(other, UNIT**2 * joint)
     assert_allclose(metric.disc_angle, free.disc_angle)
     assert in_metres(replace(free, disc_radius=None), UNIT).disc_radius is None
-
-
-def test_what_is_considered_is_pose_and_ball_with_what_they_share():
-    rig = in_radii()
-    assert_allclose(considered_covariance(rig.pose, rig.ball), covariance(10, 1))
-    alone = replace(rig.pose, ball_covariance=np.zeros((6, 4)))
-    assert_allclose(considered_covariance(alone, rig.ball)[:6, 6:], 0.0)

@@ -4,12 +4,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from ball_world import other
+from conftest import central_differences, covariance_of
 from numpy.testing import assert_allclose, assert_array_equal
-from ray_cast import NO_TARGETS, looking_at, to_image
+from ray_cast import looking_at, to_image
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.points import intersect
-from spheremouse.ball.rig import Ball, Rig
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import exp
 
@@ -17,15 +19,7 @@ CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array(
 INCIDENCE = np.radians([0.0, 15.0, 40.0, 60.0, 72.0])  # between ray and normal: from the middle to near the limb
 
 
-def spd(sigmas, seed):
-    """A covariance with these standard deviations and strong correlations."""
-    rng = np.random.default_rng(seed)
-    C = np.cov(rng.normal(size=(len(sigmas), 3 * len(sigmas))))
-    s = np.asarray(sigmas) / np.sqrt(np.diag(C))
-    return C * np.outer(s, s)
-
-
-WHOLE = spd([4e-4, 3e-4, 6e-4, 3e-4, 2e-4, 1e-4, 5e-4, 4e-4, 6e-4, 3e-4], 1)  # pose and ball, correlated
+WHOLE = covariance_of([4e-4, 3e-4, 6e-4, 3e-4, 2e-4, 1e-4, 5e-4, 4e-4, 6e-4, 3e-4], 1)  # pose and ball, correlated
 BALL = Ball(0.6, np.array([0.002, -0.003, 0.001]), WHOLE[6:, 6:])
 
 
@@ -88,10 +82,6 @@ def test_a_ball_behind_the_camera_is_not_hit():
     assert len(intersect(detections(to_pixels(places())), RIG, behind)) == 0
 
 
-def central_differences(f, n, h):
-    return np.stack([(f(d) - f(-d)) / (2 * h) for d in h * np.eye(n)], axis=-1)
-
-
 def test_directions_change_with_the_rig_as_finite_differences_do():
     """A longer focal length comes with a ball farther away along the optical axis, and with other axes of obj."""
     seen, depth, turn = detections(to_pixels(places())), POSE.along_axis(BALL.centre), np.array([0.2, -0.1, 0.3])
@@ -103,7 +93,7 @@ def test_directions_change_with_the_rig_as_finite_differences_do():
         return intersect(seen, replace(RIG, camera=camera, ball=ball), POSE).direction @ exp(e[0] * turn).T
 
     points = intersect(seen, RIG, pose)
-    assert_allclose(points.ddirection_drig, central_differences(changed, 4, 1e-6), rtol=1e-5, atol=1e-6)
+    assert_allclose(points.ddirection_drig, central_differences(changed, np.zeros(4), 1e-6), rtol=1e-5, atol=1e-6)
     error = np.array([0.01, 0.002, -0.003, 0.004])
     assert_allclose(intersect(seen, RIG, pose, error).direction, changed(error), atol=1e-12)
     assert_allclose(points.seen_with(0.01 * error), changed(0.01 * error), atol=1e-5)
@@ -113,7 +103,7 @@ def test_directions_change_with_the_rig_as_finite_differences_do():
 def test_image_covariance_is_that_of_the_finite_difference():
     uv = to_pixels(places())
     seen = detections(uv)
-    J = central_differences(lambda e: intersect(detections(uv + e), RIG, POSE).position, 2, 1e-3)
+    J = central_differences(lambda e: intersect(detections(uv + e), RIG, POSE).position, np.zeros(2), 1e-3)
     points = intersect(seen, RIG, POSE)
     assert_allclose(points.image_covariance, J @ seen.covariance @ J.transpose(0, 2, 1), rtol=1e-4, atol=1e-13)
 
@@ -126,13 +116,12 @@ def test_covariance_is_that_of_the_gauss_helmert_model(place):
     seen = detections(uv[None])
 
     def conditions(unknown, observed):
-        pose = replace(POSE, position=POSE.position + observed[:3], rotation=exp(observed[3:6]) @ POSE.rotation)
-        collinear = to_pixels(unknown, pose)[0] - (uv + observed[10:])
-        on_ball = BALL.radius + observed[9] - np.linalg.norm(unknown - (BALL.centre + observed[6:9]))
-        return np.append(collinear, on_ball)
+        rig, pose = other(RIG, POSE, observed)
+        on_ball = rig.ball.radius - np.linalg.norm(unknown - rig.ball.centre)
+        return np.append(to_pixels(unknown, pose)[0] - (uv + observed[10:]), on_ball)
 
-    A = central_differences(lambda e: conditions(B + e, np.zeros(12)), 3, 1e-6)
-    Bm = central_differences(lambda e: conditions(B, e), 12, 1e-6)
+    A = central_differences(lambda x: conditions(x, np.zeros(12)), B, 1e-6)
+    Bm = central_differences(lambda e: conditions(B, e), np.zeros(12), 1e-6)
     sigma_ll = np.zeros((12, 12))
     sigma_ll[:10, :10] = WHOLE
     sigma_ll[10:, 10:] = seen.covariance[0]

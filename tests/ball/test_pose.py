@@ -1,11 +1,14 @@
 """The camera's pose from targets: exact projections, Monte-Carlo scatter, eccentricity, ambiguity, refusals."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import permutations
 
 import cv2
 import numpy as np
 import pytest
+from ball_world import image_of, other
+from conftest import central_differences
 from numpy.testing import assert_allclose
 from ray_cast import photo, polygon_moments, ray_cast, to_image
 from scipy.linalg import block_diag
@@ -19,8 +22,8 @@ from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import Sighting, describe, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets, considered_covariance
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
-from spheremouse.geometry.rotation import exp, log, tangent_basis
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import log, tangent_basis
 
 SIGMA = 0.05  # px
 CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])
@@ -62,8 +65,17 @@ def seen_centroids(rig, pose, n=720):
     return np.array([np.mean([centroid(p, r) for r in rig.targets.radii], axis=0) for p in rig.targets.position])
 
 
-def picture_of_ball(rig, pose):
-    return photo(ray_cast(np.zeros((0, 3)), rig, pose))
+def seen_from(view, *arguments):
+    """Rig and pose of a camera of `VIEWS`."""
+    camera, pose = VIEWS[view]
+    return rig_of(camera, *arguments), pose
+
+
+@cache
+def picture_of_ball(view, shift=(0.0, 0.0, 0.0)):
+    """The ball, shifted by so many m, without discs."""
+    rig, pose = seen_from(view)
+    return photo(ray_cast(np.zeros((0, 3)), rig, replace(pose, position=pose.position - shift)))
 
 
 def sightings(centres, codes=CODES, sigma=SIGMA):
@@ -78,10 +90,9 @@ def pose_error(found, true):
 @views
 @pytest.mark.parametrize("n", [4, 6])
 def test_exact_sightings_give_the_exact_pose(view, n):
-    camera, pose = VIEWS[view]
     extra = np.array([[0.0, 0.5, 0.45], [0.45, -0.2, 0.3]])  # out of the plane of the others
-    rig = rig_of(camera, np.vstack([CORNERS, extra])[:n])
-    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+    rig, pose = seen_from(view, np.vstack([CORNERS, extra])[:n])
+    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(view))
     error = pose_error(found.pose, pose)
     assert np.abs(error).max() < 5e-5  # without the eccentricity, 1.5e-4 in the near view
     assert np.abs(found.residual).max() < 5e-3
@@ -92,10 +103,9 @@ def test_exact_sightings_give_the_exact_pose(view, n):
 @views
 def test_the_order_of_the_targets_does_not_matter(view):
     """Whichever way round they are listed; the plane they lie in is not z = 0."""
-    camera, pose = VIEWS[view]
     found = []
     for order in permutations(range(4)):
-        rig = rig_of(camera, CORNERS[list(order)])
+        rig, pose = seen_from(view, CORNERS[list(order)])
         found.append(resect(sightings(seen_centroids(rig, pose)), rig, BLACK).pose)
     assert_allclose([p.position for p in found], np.tile(pose.position, (24, 1)), atol=1e-4)
 
@@ -128,16 +138,13 @@ def sampled(rig, rng):
 
 def directions_of(d, true, true_pose, rig, pose):
     """Where directions d, (n, 3), are thought to be, and d_direction_d(pose, ball), (n, 3, 10): without image noise."""
-    uv = project(true_pose.to_cam(true.ball.centre + true.ball.radius * d), true.camera)[0]
+    uv, exactly = image_of(d, true, true_pose), np.zeros(10)
     seen = Detections(uv, np.zeros((len(uv), 2, 2)), np.full(len(uv), 100.0))
 
     def direction(e):
-        moved = replace(pose, position=pose.position + e[:3], rotation=exp(e[3:6]) @ pose.rotation)
-        ball = replace(rig.ball, centre=rig.ball.centre + e[6:9], radius=rig.ball.radius + e[9])
-        return intersect(seen, replace(rig, ball=ball), moved).direction
+        return intersect(seen, *other(rig, pose, e)).direction
 
-    steps = 1e-6 * np.eye(10)
-    return direction(np.zeros(10)), np.stack([(direction(e) - direction(-e)) / 2e-6 for e in steps], axis=-1)
+    return direction(exactly), central_differences(direction, exactly)
 
 
 @pytest.mark.parametrize("view", [pytest.param(v, marks=[] if v == "bent" else pytest.mark.slow) for v in VIEWS])
@@ -145,7 +152,7 @@ def test_a_calibrated_rig_gives_a_pose_and_directions_with_true_covariances(view
     """Targets shifted in common, correlated with the radius: pose, its covariance with the ball, and what both give."""
     camera, pose = VIEWS[view]
     rig = calibrated(camera)
-    picture = picture_of_ball(rig, pose)
+    picture = picture_of_ball(view)
     rng = np.random.default_rng(6)
     seen = pose.position / np.linalg.norm(pose.position) + np.array([[0.35, -0.3, 0.0], [0.0, 0.1, 0.0]])
     seen /= np.linalg.norm(seen, axis=1, keepdims=True)
@@ -178,8 +185,7 @@ def test_a_calibrated_rig_gives_a_pose_and_directions_with_true_covariances(view
 
 def test_a_common_shift_adds_to_the_pose_and_is_not_enlarged_by_residuals():
     """Least squares with the covariance Q + A M Aᵀ: the same pose, and M on top (Rao's identity), whatever misfits."""
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
+    rig, pose = seen_from("far")
     M = np.diag(SHIFT**2)
     shifted = replace(rig, targets=replace(rig.targets, covariance=np.kron(np.ones((4, 4)), M)))
     centres = seen_centroids(rig, pose) + np.array([[0.4, 0], [-0.4, 0], [0.4, 0], [-0.4, 0]])
@@ -250,10 +256,9 @@ def test_a_brushed_target_and_a_copy():
 
 @views
 def test_three_targets_and_the_outline_give_the_right_pose(view):
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
+    rig, pose = seen_from(view)
     truth = seen_centroids(rig, pose)
-    picture = picture_of_ball(rig, pose)
+    picture = picture_of_ball(view)
     for left_out in range(4):
         three = [s for i, s in enumerate(sightings(truth)) if i != left_out]
         found = resect(three, rig, picture)
@@ -262,11 +267,10 @@ def test_three_targets_and_the_outline_give_the_right_pose(view):
 
 
 def test_three_targets_of_which_several_poses_fit_are_refused_without_the_outline():
-    camera, pose = VIEWS["near"]
-    rig = rig_of(camera)
+    rig, pose = seen_from("near")
     three = sightings(seen_centroids(rig, pose))[:3]
     points, uv = CORNERS[:3], np.array([s.centre for s in three])
-    count = cv2.solveP3P(points, uv[:, None], camera.matrix, None, flags=cv2.SOLVEPNP_P3P)[0]
+    count = cv2.solveP3P(points, uv[:, None], rig.camera.matrix, None, flags=cv2.SOLVEPNP_P3P)[0]
     assert count > 1  # else the refusal below would prove nothing
     with pytest.raises(PoseError, match="uncover a fourth target, or the edge of the ball"):
         resect(three, rig, BLACK)
@@ -274,8 +278,7 @@ def test_three_targets_of_which_several_poses_fit_are_refused_without_the_outlin
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_fewer_than_three_targets_name_the_missing(n):
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
+    rig, pose = seen_from("far")
     with pytest.raises(PoseError) as e:
         resect(sightings(seen_centroids(rig, pose))[:n], rig, BLACK)
     message = str(e.value)
@@ -289,24 +292,22 @@ def test_fewer_than_three_targets_name_the_missing(n):
 @views
 @pytest.mark.parametrize("place", [[60.0, 60.0], [500.0, 400.0]])
 def test_a_copy_of_a_target_elsewhere_in_the_room(view, place):
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
+    rig, pose = seen_from(view)
     true = sightings(seen_centroids(rig, pose))
     copy = Sighting(CODES[1], np.array(place), SIGMA**2 * np.eye(2), 30)
     for order in ([copy, *true], [*true, copy]):
-        found = resect(order, rig, picture_of_ball(rig, pose))
+        found = resect(order, rig, picture_of_ball(view))
         assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-4
         assert len(found.codes) == 4
 
 
 @views
 def test_a_copy_while_the_real_one_is_hidden(view):
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
+    rig, pose = seen_from(view)
     true = sightings(seen_centroids(rig, pose))
     true[1] = Sighting(CODES[1], np.array([60.0, 60.0]), SIGMA**2 * np.eye(2), 30)
     try:
-        found = resect(true, rig, picture_of_ball(rig, pose))
+        found = resect(true, rig, picture_of_ball(view))
     except PoseError:
         return
     assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-3
@@ -324,11 +325,10 @@ def test_a_copy_while_the_real_one_is_hidden(view):
 )
 def test_targets_of_another_device_are_refused(view, places, shown):
     """Three targets always fit some pose, but the ball is not where that pose has it."""
-    camera, pose = VIEWS[view]
-    rig = rig_of(camera)
-    seen = [sightings(seen_centroids(rig_of(camera, places), pose))[k] for k in shown]
+    rig, pose = seen_from(view)
+    seen = [sightings(seen_centroids(seen_from(view, places)[0], pose))[k] for k in shown]
     with pytest.raises(PoseError):
-        resect(seen, rig, picture_of_ball(rig, pose))
+        resect(seen, rig, picture_of_ball(view))
 
 
 LINE = np.stack([np.linspace(-0.3, 0.3, 4), np.zeros(4), np.full(4, 0.56)], axis=1)
@@ -336,16 +336,14 @@ LINE = np.stack([np.linspace(-0.3, 0.3, 4), np.zeros(4), np.full(4, 0.56)], axis
 
 @pytest.mark.parametrize("places", [LINE[:3], LINE, np.tile(CORNERS[:1], (4, 1))], ids=["three", "four", "one place"])
 def test_targets_that_leave_a_rotation_open_are_refused(places):
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera, places)
+    rig, pose = seen_from("far", places)
     with pytest.raises(PoseError):
-        resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+        resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball("far"))
 
 
 def test_describe_reads_like_table_12():
-    camera, pose = VIEWS["far"]
-    rig = rig_of(camera)
-    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+    rig, pose = seen_from("far")
+    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball("far"))
     text = describe(found, rig)
     lines = text.split("\n")
     assert lines[0].startswith("targets CMY, CYM, MCY, MYC; residual RMS 0.0")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 from spheremouse.evaluation.bound import measured, semi_minor_axes
 from spheremouse.evaluation.scale import scale_and_drift
@@ -165,7 +165,7 @@ def test_the_semi_minor_axis_is_that_of_the_rim(scale):
         round(640 * scale), round(480 * scale), 640 * scale, 640 * scale, 320 * scale, 240 * scale
     )
     pose = Pose(from_euler(np.radians([180.0, 0.0, 90.0])), np.array([0.0, 0.0, 2.35]))
-    rig = Rig(camera, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
+    rig = Rig(camera, Ball(0.6), NO_TARGETS, 0.02)
     slant, way = np.radians([0.0, 30.0, 60.0, 70.0, 74.5]), np.radians([0.0, 40.0, 170.0, 250.0, 300.0])
     u = np.stack([np.sin(slant) * np.cos(way), np.sin(slant) * np.sin(way), np.cos(slant)], axis=1)
     alpha, phase = 0.02 / 0.6, np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)

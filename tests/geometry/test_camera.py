@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from conftest import central_differences
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.geometry.camera import (
@@ -24,11 +25,6 @@ STRONG = np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11])
 FOLD = np.sqrt(np.min(np.roots([7 * -0.11, 5 * 0.3, 3 * -0.49, 1]).real))  # where that lens stops growing: 1.12
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1398.0, 967.0, 540.0, STRONG)
 PINHOLE = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
-
-
-def central_differences(f, x, h):
-    """df/dx, (..., m, k), of a function of one (k,) vector."""
-    return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)
 
 
 def points_in_view(n, seed=0):

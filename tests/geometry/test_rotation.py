@@ -57,16 +57,6 @@ def test_exp_is_scipys_rotation_vector(v):
     assert_allclose(exp(v), Rotation.from_rotvec(v).as_matrix(), atol=1e-14)
 
 
-@given(vectors(7.0), vectors(7.0))
-def test_group_laws(a, b):
-    A, B = exp(a), exp(b)
-    assert_allclose(A @ exp(-a), np.eye(3), atol=1e-14)
-    assert_allclose(A @ A.T, np.eye(3), atol=1e-14)
-    assert np.linalg.det(A) == pytest.approx(1.0)
-    assert_allclose(exp(0.3 * a) @ exp(0.7 * a), A, atol=1e-14)
-    assert_allclose(A @ B @ A.T, exp(A @ b), atol=1e-13)  # adjoint
-
-
 @given(vectors(np.pi - 1e-6))
 def test_log_inverts_exp(v):
     assert_allclose(log(exp(v)), v, atol=1e-14, rtol=1e-9)

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from scipy.special import gammaln, logsumexp
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.associate import identify
 from spheremouse.ball.constellation.identify import IdentificationPrior, attitude, posterior_error
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 from spheremouse.native import kernels
@@ -178,22 +177,8 @@ def test_evidence_is_the_integral_over_attitudes():
     assert_allclose(value, direct, atol=0.15)
 
 
-def test_evidence_is_the_mean_over_equal_alternatives():
-    rng = np.random.default_rng(3)
-    known, R = directions(26, 5), Rotation.random(random_state=5).as_matrix()
-    p = known @ R.T
-    seen = scattered(p[p[:, 2] > 0.5], 0.02, rng)
-    variance = np.full(len(seen), 0.02**2)
-
-    def value(hidden, scales):
-        return list(refined(R, seen, known, variance, observation(hidden, scales)))[3]
-
-    single = [value((h,), (s,)) for h in (0.1, 0.5) for s in (0.8, 1.3)]
-    assert_allclose(value((0.1, 0.5), (0.8, 1.3)), np.log(np.mean(np.exp(single))), rtol=1e-9)
-
-
 def log_evidence(R, column, seen, known, variance, hidden, scales):
-    """Twin of the evidence of an attitude and its matches."""
+    """Twin of the evidence of an attitude and its matches: the mean over equal alternatives."""
     rows, k = np.flatnonzero(column >= 0), np.sum(column >= 0)
     p, v = known @ R.T, variance[rows]
     q = p[column[rows]]
@@ -279,9 +264,3 @@ def test_probability_of_error_equals_the_frequency_of_errors(ratios, limits):
         spread = np.sqrt(np.sum(said[these] * (1.0 - said[these])))
         assert np.sum(wrong[these]) < expected + 4.0 * spread, (low, high)
         assert np.sum(wrong[these]) > 0.4 * expected - 4.0 * spread, (low, high)
-
-
-@pytest.mark.parametrize("least", [0.0, 0.02])
-def test_a_least_sigma_is_above_0_and_at_most_sigma(least):
-    with pytest.raises(ValueError, match=f"^min_sigma {least} is no standard deviation up to 0.01"):
-        identify(np.eye(3), np.eye(3), sigma=0.01, view_axis=CAMERA, min_sigma=least)

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from ray_cast import NO_TARGETS, looking_at, polygon_moments, to_image
+from ray_cast import looking_at, polygon_moments, to_image
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, clear_mask, largest_disc
-from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
 STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array([-0.4, 0.2, 2e-3, -1e-3, -0.05]))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ray_cast import BALL, CLEAN, DISCS, INK, PLAIN, POSE, RIG, TRUTH, centre_of, errors, match, photo, ray_cast, spread
+from ray_cast import BALL, CLEAN, DISCS, INK, POSE, RIG, TRUTH, centre_of, errors, match, nees, photo, ray_cast, spread
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.appearance import appearance
@@ -53,11 +53,9 @@ def test_covariance_is_honest(noise):
     for seed in range(5):
         image = photo(CLEAN, noise, seed)
         for detector, out in ((bare, nis), (DETECTOR, nis_floor)):
-            seen = detector.detect(image)
-            i, j = match(seen, TRUTH).T
-            assert len(i) >= 0.9 * len(DISCS)
-            e = seen.centre[i] - TRUTH[j]
-            out += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+            squares = nees(detector.detect(image), TRUTH)
+            assert len(squares) >= 0.9 * len(DISCS)
+            out += list(squares)
     n = len(nis)
     high = chi2.ppf(0.999, 2 * n) / n
     assert np.mean(nis_floor) < high
@@ -103,14 +101,6 @@ def test_light_does_not_matter(image):
     assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.06
 
 
-def test_light_discs_on_a_dark_ball():
-    image = ray_cast(DISCS, ball=40.0, ink=210.0)
-    seen = disc_detector(replace(SETTINGS, polarity="light"), RIG, POSE).detect(photo(image, 2.0))
-    assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
-    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.05
-    assert len(DETECTOR.detect(photo(image, 2.0))) == 0
-
-
 def test_discs_at_the_limb():
     """Slivers down to where the rim meets the horizon: found while large enough, never far off."""
     tilt = np.deg2rad([50, 55, 60, 63, 66, 69, 71])
@@ -119,12 +109,11 @@ def test_discs_at_the_limb():
     truth = centre_of(discs, RIG, POSE)
     for noise in (0.0, 3.0):
         seen = DETECTOR.detect(photo(ray_cast(discs), noise))
-        i, j = match(seen, truth).T
-        assert {0, 1, 2} <= set(j)
-        assert len(i) == len(seen)
-        e = seen.centre[i] - truth[j]
-        assert np.linalg.norm(e, axis=1).max() < 0.5
-        assert np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e)).max() < 4.0
+        pairs = match(seen, truth)
+        assert {0, 1, 2} <= set(pairs[:, 1])
+        assert len(pairs) == len(seen)
+        assert np.linalg.norm(errors(seen, truth), axis=1).max() < 0.5
+        assert np.sqrt(nees(seen, truth)).max() < 4.0
 
 
 def test_a_large_picture_shows_discs_at_the_limb_as_well_as_a_small_one():
@@ -153,8 +142,7 @@ def test_other_marks_are_not_discs():
 
 @pytest.mark.parametrize("offset", [(250.0, 0.0), (-200.0, 150.0), (0.0, -220.0)])
 def test_a_ball_partly_outside_of_the_picture(offset):
-    camera = replace(PLAIN, cx=320.0 + offset[0], cy=240.0 + offset[1])
-    rig = replace(RIG, camera=camera)
+    rig = replace(RIG, camera=replace(RIG.camera, cx=320.0 + offset[0], cy=240.0 + offset[1]))
     truth = centre_of(DISCS, rig, POSE)
     seen = disc_detector(SETTINGS, rig, POSE).detect(photo(ray_cast(DISCS, rig)))
     inside = np.all((truth > 15) & (truth < [624, 464]), axis=1)

@@ -73,12 +73,6 @@ def test_a_bolt_is_masked_as_soon_as_the_ball_has_turned_by_two_pixels_there():
     assert np.linalg.norm(state.masks[0] - BOLT) < 0.3
 
 
-def test_a_still_ball_proves_nothing_and_masks_nothing():
-    out = film([np.eye(3)] * 60)
-    assert not any(p.any() or s.any() for p, s, _, _ in out)
-    assert len(out[-1][3].masks) == 0
-
-
 def test_a_disc_at_the_pole_of_the_rotation_is_no_look_alike():
     """It stands still because the ball moves nowhere there; nor is it proven by that."""
     discs = np.vstack([DISCS, AXIS_Z])

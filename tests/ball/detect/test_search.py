@@ -84,8 +84,9 @@ def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
     n = 0
     for k in range(20):
         discs = random_discs(rng, 4, 70.0)
-        places, _ = look(picture(discs, seed=k), SearchState(k))
+        places, after = look(picture(discs, seed=k), SearchState(k))
         assert len(places) <= 4  # each of them once
+        assert len(after.rejected) == 0  # discs are none
         high = np.sqrt(appearance(discs, RIG, POSE).shape[:, 1, 1]) > 5.0
         assert distances(places, centroids(discs))[high].max(initial=0.0) < 1.0
         n += np.count_nonzero(high)
@@ -110,21 +111,6 @@ def test_colour_and_grey_agree():
     assert_allclose(four_turns(np.repeat(image, 3, axis=2)), grey, atol=1e-4)
     red = np.concatenate([np.full_like(image, 40), image, np.full_like(image, 200)], axis=2)
     assert_allclose(four_turns(red), grey, atol=0.1)
-
-
-def test_a_detector_measures_what_the_search_meets():
-    """The whole way: centres with their covariance, none twice, and none known."""
-    discs = random_discs(np.random.default_rng(7), 4, 40.0)
-    image, centres, state, met = picture(discs)[:, :, 0], centroids(discs), SearchState(), []
-    for _ in range(4):
-        found, state = PLAIN.follow(image, state, known=centres[:1])
-        met.append(found.centre)
-    assert state.turn == 4
-    met = np.concatenate(met)
-    # the ellipse's middle is not the disc's centre: by a fraction of a pixel
-    assert distances(met, centres)[1:].max() < 0.3
-    assert distances(met, centres)[0] > PLAIN.model.diameter
-    assert len(state.rejected) == 0  # discs are none
 
 
 def clutter(kind):

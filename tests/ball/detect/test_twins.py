@@ -55,6 +55,13 @@ def picture(rng, channels, c, shape):
     return np.repeat(np.clip(np.rint(grey), 0, 255).astype(np.uint8)[:, :, None], channels, axis=2)
 
 
+def fits(image, mask, place, shape, path, size):
+    """Return the fit of a disc, ok, centre, covariance and rim, and its twin's."""
+    expected = place[None], shape[None], path[None]
+    native = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, size)[:4]
+    return [part[0] for part in native], twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, size)
+
+
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("size", [0.0, 1.05])
 @pytest.mark.parametrize("way", [0.0, 6.0])
@@ -70,14 +77,12 @@ def test_the_fit_is_its_twin_up_to_single_precision(channels, size, way):
         image, mask = picture(rng, channels, c, shape), np.full((44, 48), 255, np.uint8)
         mask[:, 33:] = 0
         place = c + rng.uniform(-0.5, 0.5, 2)
-        expected = place[None], shape[None], path[None]
-        ok, centroid, covariance, rim, _ = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, size)
-        deep, at, C, fits = twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, size)
-        if ok[0] and rim[0] > 0.5:  # of less, single pixels decide where a cover ends
+        (ok, centroid, covariance, rim), (deep, *twin) = fits(image, mask, place, shape, path, size)
+        if ok and rim > 0.5:  # of less, single pixels decide where a cover ends
             assert deep
-            assert_allclose(centroid[0], at, atol=1e-4)
-            assert_allclose(covariance[0], C, rtol=1e-3, atol=1e-6)
-            assert_allclose(rim[0], fits, atol=1e-4)
+            assert_allclose(centroid, twin[0], atol=1e-4)
+            assert_allclose(covariance, twin[1], rtol=1e-3, atol=1e-6)
+            assert_allclose(rim, twin[2], atol=1e-4)
             count += 1
     assert count >= (12 if way == 0.0 else 3)
 
@@ -93,16 +98,14 @@ def test_a_disc_behind_a_cover_is_fitted_as_its_twin(grey):
         y, x = np.mgrid[:44, :48]
         angle = rng.uniform(0.0, 2.0 * np.pi)
         image[(x - c[0]) * np.cos(angle) + (y - c[1]) * np.sin(angle) > rng.uniform(0.0, 5.0)] = grey
-        place, path = c + rng.uniform(-0.5, 0.5, 2), np.zeros(7)
-        expected = place[None], shape[None], path[None]
-        ok, centroid, covariance, rim, _ = kernels.fit_discs(image, mask, expected, 1.0, SETTINGS, 0.25, 1.0)
-        deep, at, C, fits = twins.fit_disc(image, mask, place, shape, path, 1.0, SETTINGS, 1.0)
-        if ok[0]:
+        place = c + rng.uniform(-0.5, 0.5, 2)
+        (ok, centroid, covariance, rim), (deep, *twin) = fits(image, mask, place, shape, np.zeros(7), 1.0)
+        if ok:
             assert deep
-            assert_allclose(centroid[0], at, atol=2e-4)
-            assert_allclose(covariance[0], C, rtol=1e-3, atol=1e-5)
-            assert_allclose(rim[0], fits, atol=1e-4)
-            count += fits < 0.9
+            assert_allclose(centroid, twin[0], atol=2e-4)
+            assert_allclose(covariance, twin[1], rtol=1e-3, atol=1e-5)
+            assert_allclose(rim, twin[2], atol=1e-4)
+            count += rim < 0.9
     assert count >= 8
 
 
@@ -120,9 +123,8 @@ def test_discs_are_measured_where_and_how_they_are_seen(exposure):
     search = DETECTOR.lattice.of_turn(0), SearchState(0, 1.0), motion, NOWHERE, len(DISCS) + 1
     *found, state = kernels.follow_discs(image, DISCS, model, *search)
     assert len(kept) > 10
-    for native, twin in zip(
-        (*found, state[2]), (centre[kept], covariance[kept], seen.area[which][kept], size), strict=True
-    ):
+    expected = centre[kept], covariance[kept], seen.area[which][kept], size
+    for native, twin in zip((*found, state[2]), expected, strict=True):
         assert_allclose(native, twin, rtol=1e-6)  # a path differs by rounding
 
 

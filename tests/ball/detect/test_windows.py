@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from ray_cast import BALL, CLEAN, DISCS, INK, PLAIN, POSE, RIG, TRUTH, centre_of, match, photo, ray_cast, spread
+from ray_cast import BALL, CLEAN, DISCS, INK, POSE, RIG, TRUTH, centre_of, errors, match, nees, photo, ray_cast, spread
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
@@ -24,7 +24,7 @@ def follow(image, directions, rate=AT_REST, readout=0.0, detector=DETECTOR):
 
 def displaced(directions, rng, pixels):
     """Directions whose pictures lie up to so many pixels off, in any direction."""
-    angle = pixels * (POSE.position[2] - RIG.ball.radius) / (PLAIN.fx * RIG.ball.radius)
+    angle = pixels * (POSE.position[2] - RIG.ball.radius) / (RIG.camera.fx * RIG.ball.radius)
     axis = np.cross(directions, rng.normal(size=directions.shape))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     size = angle * np.sqrt(rng.random((len(directions), 1)))
@@ -40,9 +40,9 @@ def test_noise_and_size_are_learnt_and_remembered(noise):
     seen, same = DETECTOR.follow(image, learnt, DISCS)
     assert same.noise == learnt.noise
     assert abs(same.size - learnt.size) < 1e-3
-    i, j = match(seen, TRUTH).T
-    assert len(i) == len(TRUTH)
-    assert np.sqrt(np.mean(np.square(seen.centre[i] - TRUTH[j]))) < 0.02 + 0.01 * noise
+    off = errors(seen, TRUTH)
+    assert len(off) == len(TRUTH)
+    assert np.sqrt(np.mean(off**2)) < 0.02 + 0.01 * noise
 
 
 @pytest.mark.parametrize("noise", [1.0, 4.0])
@@ -54,11 +54,9 @@ def test_followed_discs_are_where_they_are_not_where_they_are_predicted(noise):
         predicted = displaced(DISCS, rng, 1.0)
         assert 0.4 < np.linalg.norm(centre_of(predicted, RIG, POSE) - TRUTH, axis=1).max() <= 1.01
         seen = follow(photo(CLEAN, noise, seed), predicted)
-        i, j = match(seen, TRUTH).T
-        assert sorted(j) == list(range(len(DISCS)))  # each of them, once
-        e = seen.centre[i] - TRUTH[j]
-        off.append(e)
-        nis += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+        assert sorted(match(seen, TRUTH)[:, 1]) == list(range(len(DISCS)))  # each of them, once
+        off.append(errors(seen, TRUTH))
+        nis += list(nees(seen, TRUTH))
     assert np.sqrt(np.mean(np.square(off))) < (0.03 if noise < 2 else 0.06)
     assert np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
 
@@ -141,7 +139,7 @@ def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
     along = np.sum(e * way, axis=1) / np.linalg.norm(way, axis=1)
     assert abs(np.mean(along)) < 0.02
     assert np.sqrt(np.mean(e**2)) < 0.02
-    assert np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e).max() < chi2.ppf(0.9999, 2)
+    assert nees(seen, truth).max() < chi2.ppf(0.9999, 2)
     if np.linalg.norm(way, axis=1).max() > 8.0:
         assert len(follow(image, discs, rate)) < len(discs)  # what it is worth to be told
 
@@ -166,12 +164,8 @@ def test_a_disc_is_looked_for_where_it_is_when_its_row_is_read(readout):
 def test_a_spot_of_another_size_in_the_window_of_a_disc_is_none(radius):
     """A bolt on the frame hides a disc, or looks like it."""
     rig = replace(RIG, disc_radius=radius * RIG.disc_radius)
-    image = photo(
-        np.where(
-            np.hypot(*(np.mgrid[:480, :640] - TRUTH[0, ::-1, None, None])) < 25.0, ray_cast(DISCS, rig=rig), CLEAN
-        ),
-        1.0,
-    )
+    near = np.hypot(*(np.mgrid[:480, :640] - TRUTH[0, ::-1, None, None])) < 25.0
+    image = photo(np.where(near, ray_cast(DISCS, rig=rig), CLEAN), 1.0)
     _, learnt = DETECTOR.follow(photo(CLEAN, 1.0), SearchState(), DISCS)
     first, _ = DETECTOR.follow(image, SearchState(), DISCS[:1], least=2)
     seen, _ = DETECTOR.follow(image, learnt, DISCS, least=len(DISCS) + 1)
@@ -195,12 +189,8 @@ def behind_a_strut(which, level, share, turn):
 
 @pytest.mark.parametrize(
     "level",
-    [
-        pytest.param(5.0, id="black"),
-        pytest.param(110.0, id="mid-grey"),
-        pytest.param(BALL, id="as the ball"),
-        pytest.param(240.0, id="light"),
-    ],
+    [5.0, 110.0, BALL, 240.0],
+    ids=["black", "mid-grey", "as the ball", "light"],
 )
 def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
     """NIS of what is kept, for each share from 10 to 90 % of the width: chi-square with 2, not above it.
@@ -214,9 +204,7 @@ def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
             cut = np.arange(turn, len(TRUTH), 3)
             seen = follow(photo(behind_a_strut(cut, level, share, turn), 1.0, turn), DISCS)
             assert len(match(seen, np.delete(TRUTH, cut, axis=0), 0.3)) == len(TRUTH) - len(cut)
-            i, j = match(seen, TRUTH[cut], 8.0).T
-            e = seen.centre[i] - TRUTH[cut][j]
-            nis += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+            nis += list(nees(seen, TRUTH[cut], 8.0))
         kept[share] = len(nis)
         assert len(nis) == 0 or np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
     assert kept[0.9] == 0
@@ -231,11 +219,9 @@ def test_a_disc_behind_a_strut_by_half_is_found_once_the_size_of_discs_is_known(
     for turn in range(4):
         image = photo(behind_a_strut(cut, level, 0.5, turn), 2.0, turn)
         for known, state in enumerate((learnt._replace(size=0.0), learnt)):
-            seen = DETECTOR.detect(image, state)
-            i, j = match(seen, TRUTH[cut], 1.5).T
-            found[known] += len(i)
-            e = seen.centre[i] - TRUTH[cut][j]
-            nis += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+            squares = nees(DETECTOR.detect(image, state), TRUTH[cut], 1.5)
+            found[known] += len(squares)
+            nis += list(squares)
     assert found[1] > max(found[0], 0.7 * 4 * len(cut))
     assert np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
 

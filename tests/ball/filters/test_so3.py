@@ -258,21 +258,6 @@ def test_the_result_does_not_depend_on_the_gauge():
         assert_allclose(b.covariance, a.covariance, atol=1e-9 * np.abs(a.covariance).max())
 
 
-def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
-    """tangent_basis jumps at z = 0; the filter's axes must not: the covariance is written in them."""
-    state, _ = settled()
-    z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
-    state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]), RADIUS)
-    dx = np.zeros(MAP_OFFSET + 2 * len(state.discs) + CLONE_DIM)
-    dx[LAST] = state.basis[-1].T @ [0.0, 0.0, -1e-4]
-    moved = inject(state, dx)
-    assert state.discs[-1, 2] > 0.0 > moved.discs[-1, 2]
-    assert_allclose(moved.basis[-1], state.basis[-1], atol=2e-4)
-    for axes, d in zip(moved.basis, moved.discs, strict=True):
-        assert_allclose(axes.T @ axes, np.eye(2), atol=1e-12)
-        assert_allclose(axes.T @ d, 0.0, atol=1e-12)
-
-
 def test_a_disc_out_of_view_is_known_again_and_closes_the_loop():
     rate = np.array([0.0, 2.0, 0.3])
     n = round(2 * np.pi / np.linalg.norm(rate) / DT)

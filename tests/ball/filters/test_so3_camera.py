@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ball_world import detected
+from ball_world import CAMERA, detected, image_of, other
+from conftest import covariance_of
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
@@ -34,22 +35,13 @@ from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, 
 from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, inject, with_seen_centre, with_uncertain_turn
 from spheremouse.ball.points import intersect
-from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.profile import play
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 STATION = np.array([0.2, 0.3, 1.9])
 PIXEL = 0.07  # px, noise of a centre
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
-
-
-def spd(sigmas, seed):
-    """A covariance with these standard deviations and strong correlations."""
-    C = np.cov(np.random.default_rng(seed).normal(size=(len(sigmas), 3 * len(sigmas))))
-    s = np.asarray(sigmas) / np.sqrt(np.diag(C))
-    return C * np.outer(s, s)
 
 
 def station(scale):
@@ -58,24 +50,13 @@ def station(scale):
     x = np.cross([0.3, -1.0, 0.0], z)
     x /= np.linalg.norm(x)
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
-    pose = Pose(rotation, STATION, scale**2 * spd([1e-3, 1e-3, 2e-3, 1e-3, 1e-3, 1e-3], 1))
-    rig = Rig(CAMERA, Ball(RADIUS, np.zeros(3), scale**2 * spd([1e-3, 1e-3, 1e-3, 5e-4], 2)), NO_TARGETS, 0.02)
+    pose = Pose(rotation, STATION, scale**2 * covariance_of([1e-3, 1e-3, 2e-3, 1e-3, 1e-3, 1e-3], 1))
+    ball = Ball(RADIUS, np.zeros(3), scale**2 * covariance_of([1e-3, 1e-3, 1e-3, 5e-4], 2))
+    rig = Rig(CAMERA, ball, NO_TARGETS, 0.02)
     distance = np.linalg.norm(STATION)
     considered = block_diag(pose.covariance, rig.ball.covariance)
     filter_ = So3Filter(OWN.settings, Station(STATION / distance, RADIUS / distance, RADIUS, considered), 0.02 / RADIUS)
     return rig, pose, filter_
-
-
-def other(rig, pose, error):
-    """Pose and ball that differ by an error, (10,)."""
-    ball = replace(rig.ball, centre=rig.ball.centre + error[6:9], radius=rig.ball.radius + error[9])
-    moved = replace(pose, position=pose.position + error[:3], rotation=exp(error[3:6]) @ pose.rotation)
-    return replace(rig, ball=ball), moved
-
-
-def image_of(d, rig, pose):
-    """Pixels, (n, 2), of directions d, (n, 3), in obj."""
-    return project(pose.to_cam(rig.ball.centre + rig.ball.radius * d), rig.camera)[0]
 
 
 def in_view(R, margin):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ball_world import detected
+from ball_world import CAMERA, detected, image_of, other
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag
 from scipy.stats import chi2
@@ -17,10 +17,9 @@ from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_state import COMMON
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 
-CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 PIXEL = 0.07  # px, noise of a centre
 ASIDE = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # a quarter of a turn about Y
 POSE_SIGMA = np.array([5e-4, 5e-4, 1e-3, 5e-4, 5e-4, 5e-4])  # m, rad
@@ -46,10 +45,7 @@ def frame(which, R, errors, rng):
     rig, pose, filter_ = STATIONS[which]
     place = DISCS @ R.T
     place = place[place @ filter_.station.towards > filter_.station.horizon + 0.2]
-    ball = replace(rig.ball, centre=errors[6:9], radius=RADIUS + errors[9])
-    through = replace(pose, position=pose.position + errors[:3], rotation=exp(errors[3:6]) @ pose.rotation)
-    uv = project(through.to_cam(ball.centre + ball.radius * place), rig.camera)[0]
-    return intersect(detected(uv, rng, PIXEL), rig, pose)
+    return intersect(detected(image_of(place, *other(rig, pose, errors)), rng, PIXEL), rig, pose)
 
 
 def both():

@@ -1,6 +1,7 @@
 """The map of discs that outlasts a run: out of the filter's state, back into another, and what that is worth."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,9 +39,10 @@ def play(state, rate, n, rng, R, before=None):
     return follow(FILTER, state, attitudes, state.stamp + np.arange(1, n + 1) * DT, rng, DISCS)[-1], R
 
 
-def learnt(seed=0):
-    """A state that has seen all of the ball."""
-    rng = np.random.default_rng(seed)
+@cache
+def learnt():
+    """A state that has seen all of the ball, and the attitude."""
+    rng = np.random.default_rng(0)
     state = FILTER.update(FILTER.initial(0.0, np.eye(3)), seen(np.eye(3), rng))
     state, R = play(state, [0.2, 2.0, 0.3], 110, rng, np.eye(3))
     return play(state, SPIN, 110, rng, R, [0.2, 2.0, 0.3])

@@ -1,6 +1,8 @@
 """Several attitudes at once: what a frame of few discs leaves possible, weighed and carried on."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,15 +22,21 @@ from spheremouse.simulate.ball.profile import play
 from spheremouse.tracker import Status
 
 
-def known_ball(discs, rng):
-    """The filter, and its state after each of the discs was seen from many sides."""
+@cache
+def _known_ball(number, seed):
+    rng, discs = np.random.default_rng(seed), directions(number, seed)
     tracker = build(RIG, POSE, Settings())
     state = begin(tracker, 0.0)
     for k in range(241):
         turn = exp(np.array([2.0 * np.pi, 0.0, 0.0]) * min(k / 120.0, 1.0))
         R = exp(np.array([0.0, 2.0 * np.pi, 0.0]) * max(k / 120.0 - 1.0, 0.0)) @ turn
         state = advance(state, k * DT, photo(R, rng, discs), tracker).state
-    return tracker, state
+    return tracker, state, discs, rng
+
+
+def known_ball(number, seed):
+    """The filter, its state after each disc was seen from many sides, the discs, and a generator of random numbers."""
+    return *_known_ball(number, seed)[:3], deepcopy(_known_ball(number, seed)[3])
 
 
 def at_rest(tracker, state, discs, rng):
@@ -49,9 +57,7 @@ def doubtful(state, axis, sigma, stamp):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_probabilities_sum_to_one_and_the_most_probable_comes_first(seed):
-    rng = np.random.default_rng(seed)
-    discs = directions(26, seed)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(26, seed)
     prior = doubtful(state.filter, np.array([0.0, 0.0, 1.0]), 0.5, state.filter.stamp)
     points = intersect(photo(exp(np.array([0.0, 0.0, 0.4])), rng, discs).take(np.array([0])), RIG, POSE)
     made = update_hypotheses(tracker.filter, (Hypothesis(prior, 0.0),), points, np.zeros(1, dtype=bool))
@@ -63,9 +69,7 @@ def test_probabilities_sum_to_one_and_the_most_probable_comes_first(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_doubt_about_one_axis_ends_when_three_discs_are_seen(seed):
-    rng = np.random.default_rng(seed)
-    discs = directions(12, seed)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(12, seed)
     true = exp(np.array([0.0, 0.0, 0.6]))
     seen = photo(true, rng, discs)
     if len(seen) < 3:
@@ -78,9 +82,7 @@ def test_a_doubt_about_one_axis_ends_when_three_discs_are_seen(seed):
 
 
 def test_a_certain_frame_keeps_one_hypothesis():
-    rng = np.random.default_rng(1)
-    discs = directions(26, 1)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(26, 1)
     for k in range(30):
         R = exp(np.array([0.3, 0.2, 0.5]) * k * DT)
         state = advance(state, (241 + k) * DT, photo(R, rng, discs), tracker).state
@@ -88,9 +90,7 @@ def test_a_certain_frame_keeps_one_hypothesis():
 
 
 def test_a_ball_that_passes_through_an_attitude_is_none_that_rests_there():
-    rng = np.random.default_rng(1)
-    discs = directions(12, 1)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(12, 1)
     state = at_rest(tracker, state, discs, rng)
     rests = tracker.filter.predict(state.filter, state.filter.stamp + DT)
     predicted = [
@@ -133,8 +133,7 @@ def test_a_ball_with_ten_discs_is_followed_by_what_is_in_view(seed):
 )
 def test_other_levels_start_at_their_prior_also_if_they_are_as_many(levels, kept):
     """Between two frames, while several attitudes are possible."""
-    rng, discs = np.random.default_rng(3), directions(12, 2)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(12, 2)
     state = state._replace(alternatives=(Hypothesis(state.filter, np.log(0.3)),))
     settings = Settings(so3=replace(Settings().so3, levels=levels, gate=12.0))
     changed, tracker = with_settings(state, tracker, settings)
@@ -148,9 +147,7 @@ def test_other_levels_start_at_their_prior_also_if_they_are_as_many(levels, kept
 @pytest.mark.parametrize("seed", range(4))
 def test_a_slow_camera_leaves_no_doubt_about_a_resting_ball_that_shows_five_discs(seed):
     """At three frames/s the prediction is a guess. The constellation is none."""
-    rng = np.random.default_rng(seed)
-    discs = directions(26, seed)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(26, seed)
     state, seen = at_rest(tracker, state, discs, rng), photo(np.eye(3), rng, discs)
     assert len(seen) >= 5
     predicted = tracker.filter.predict(state.filter, state.filter.stamp + 0.4)
@@ -162,9 +159,7 @@ def test_a_slow_camera_leaves_no_doubt_about_a_resting_ball_that_shows_five_disc
 @pytest.mark.parametrize("seed", range(4))
 def test_a_ball_whose_one_disc_stands_still_is_at_rest(seed):
     """For seconds: a turn hardly ever goes about the one disc in view."""
-    rng = np.random.default_rng(seed)
-    discs = directions(12, seed)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(12, seed)
     state = at_rest(tracker, state, discs, rng)
     stamp = state.filter.stamp
     for k in range(150):
@@ -180,9 +175,7 @@ def test_a_ball_whose_one_disc_stands_still_is_at_rest(seed):
 @pytest.mark.parametrize("sigma", [0.0, 1.0])
 def test_one_disc_leaves_a_known_twist_alone(sigma):
     """Also one that a push made uncertain, as long as its direction is known."""
-    rng = np.random.default_rng(2)
-    discs = directions(12, 2)
-    tracker, state = known_ball(discs, rng)
+    tracker, state, discs, rng = known_ball(12, 2)
     axis = state.filter.attitude @ discs[np.argmax(discs @ state.filter.attitude[2])]
     joint = state.filter.joint.copy()
     joint[3:6, 3:6] += sigma**2 * np.outer(axis, axis)
@@ -263,9 +256,8 @@ def test_a_turn_that_no_disc_has_shown_is_as_uncertain_as_a_random_walk_of_the_r
 
 
 def test_an_update_takes_nothing_from_motion_about_an_axis_that_a_frame_did_not_show():
-    rng, axis = np.random.default_rng(1), np.array([0.6, 0.0, 0.8])
-    discs, across = directions(26, 1), np.eye(3) - np.outer(axis, axis)
-    tracker, state = known_ball(discs, rng)
+    axis = np.array([0.6, 0.0, 0.8])
+    across, (tracker, state, discs, rng) = np.eye(3) - np.outer(axis, axis), known_ball(26, 1)
     f, before = tracker.filter, doubtful(state.filter, axis, 0.05, state.filter.stamp)
     predicted = f.predict(replace(before, rate=0.3 * axis), before.stamp + DT)
     updated = f.update(predicted, intersect(photo(exp(np.array([0.01, 0.02, 0.03])), rng, discs), RIG, POSE))

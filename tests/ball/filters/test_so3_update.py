@@ -122,20 +122,11 @@ def each_on_its_own(means, covariances, weights, H, R, z, motion, held, dt):
             kinds = (as_last, np.zeros(3)), (as_last, -before), (of_stop, stopping - before)
             likely = [(at[level], step) for at, step in kinds if recent * at[level] > 1e-5]
             for instant, (weight, step) in product(INSTANTS, likely):
-                t = instant * dt
+                t, share = instant * dt, (1.0 - quiet) / len(INSTANTS) / 3.0 * weight
                 effect = np.zeros((N, 3))
                 effect[:KINEMATIC_DIM] = np.kron(np.array([[0.5 * t * t], [t], [1.0]]), np.eye(3))
-                yield (
-                    level,
-                    level,
-                    True,
-                    *schmidt(
-                        (1.0 - quiet) / len(INSTANTS) / 3.0 * weight,
-                        mean + effect @ step,
-                        P + variance * effect @ effect.T,
-                        *(H, R, z, held),
-                    ),
-                )
+                moved, spread = mean + effect @ step, P + variance * effect @ effect.T
+                yield level, level, True, *schmidt(share, moved, spread, H, R, z, held)
 
 
 def schmidt(share, mean, P, H, R, z, held):
@@ -163,13 +154,8 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds, 
         _, prior = moments(weights.sum(axis=1), means, covariances)
         body, points, H, R = frame(rng, prior, holds)
         z = 2e-3 * rng.normal(size=8)
-        new, levels, steps, p, after, spreads = map(
-            np.array,
-            zip(
-                *each_on_its_own(means, covariances, weights, H, R, z, body[1:3], APART if holds else HELD, dt),
-                strict=True,
-            ),
-        )
+        each = each_on_its_own(means, covariances, weights, H, R, z, body[1:3], APART if holds else HELD, dt)
+        new, levels, steps, p, after, spreads = map(np.array, zip(*each, strict=True))
         for level in range(1, len(VARIANCES)):
             of_level = steps & (new == level)
             p[of_level & (p < max(1e-3 * p[of_level].sum(), 1e-8 * p.sum()))] = 0.0
@@ -255,11 +241,14 @@ def test_the_covariance_of_a_turn_is_that_of_its_two_attitudes():
 
 
 def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand():
+    """Also across z = 0, where `tangent_basis` jumps: the covariance is written in the axes."""
     rng = np.random.default_rng(5)
     frames = exp(rng.normal(size=(4, 3)))
+    frames[0] = exp(np.array([0.0, -1e-6, 0.0]))
     discs, basis = frames[:, :, 0].copy(), frames[:, :, 1:].copy()
     basis[::2, :, 1] *= -1.0  # left-handed as well
     dx = 0.1 * rng.normal(size=N)
+    dx[MAP_OFFSET + 1] = 0.1
     rate, acceleration = rng.normal(size=(2, 3))
     body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(4), 4, False, 0
     (attitude, new_rate, new_acceleration, moved, axes), _, readout, rig_error = kernels.move(body, dx)
@@ -269,6 +258,7 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
     assert_allclose(attitude, exp(dx[:3]) @ frames[0], atol=1e-15)
     assert_allclose(moved, to / np.linalg.norm(to, axis=1, keepdims=True), atol=1e-15)
+    assert discs[0, 2] > 0.0 > moved[0, 2]
     full = np.concatenate([moved[:, :, None], axes], axis=2)
     assert_allclose(full.transpose(0, 2, 1) @ full, np.broadcast_to(np.eye(3), (4, 3, 3)), atol=1e-15)
     assert np.all(np.einsum("kia,kia->ka", axes, basis) > 0.9)

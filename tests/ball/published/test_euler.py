@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball_world import CAMERA, DT, POSE, RIG, detected
-from conftest import directions
+from conftest import central_differences, directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -69,10 +69,6 @@ def start_and_roll(seconds=8.0):
 
 
 angles_ = st.tuples(*[st.floats(-4.0, 4.0)] * 3).map(np.array)
-
-
-def central_differences(f, x, h=1e-6):
-    return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)
 
 
 def published_a(angles, P):
