@@ -1,6 +1,7 @@
 """Balls and discs of any colour, from simulated films: found by themselves, kept, and black on white as it was."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -25,10 +26,11 @@ COLOURED = ("red-black", "red-blue", "red-white")
 QUICK = ("white-black", "dark-white", "red-blue")  # grey, its negative, and a colour
 
 
-def film(pair, seed=3, seconds=0.8, **more):
-    """Frames of a ball that turns from the first frame on, as a camera gives them that delivers colour on demand."""
+@cache
+def film(pair, seconds=0.8, turns=0.2):
+    """A simulation of a ball that turns from the first frame on, and its frames."""
     ball, disc = PAIRS[pair]
-    options = {"motion": "roll", "turns": 0.2, "noise": 4.0, "seconds": seconds, "seed": seed} | more
+    options = {"motion": "roll", "turns": turns, "noise": 4.0, "seconds": seconds, "seed": 3}
     sim = prepare(SimulationOptions(ball_colour=ball, disc_colour=disc, **options))
     return sim, list(simulate(sim))
 
@@ -46,6 +48,11 @@ def run(sim, frames, settings=None, known=None):
     return states, events, coloured, tracker
 
 
+@cache
+def tracked(pair, seconds=0.8):
+    return run(*film(pair, seconds))
+
+
 def worst(states, frames):
     """rad, largest error of the attitude once the ball is tracked."""
     found = [k for k, s in enumerate(states) if s.status is Status.TRACKING]
@@ -58,9 +65,8 @@ def worst(states, frames):
 
 @pytest.mark.parametrize("pair", [pytest.param(p, marks=[] if p in QUICK else pytest.mark.slow) for p in PAIRS])
 def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
-    sim, frames = film(pair)
-    states, events, coloured, _ = run(sim, frames)
-    assert worst(states, frames) < np.radians(0.1)
+    states, events, coloured, _ = tracked(pair)
+    assert worst(states, film(pair)[1]) < np.radians(0.1)
     told = [e for e in events if isinstance(e, DiscColours)]
     if pair == "white-black":
         assert told == []
@@ -79,7 +85,7 @@ def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
 )
 def test_hands_at_first_do_not_decide(pair):
     """A blank sheet with spots of skin hides the ball for half a second; the colours are found when it is gone."""
-    sim, frames = film(pair, seconds=2.0, motion="roll", turns=0.1)
+    sim, frames = film(pair, seconds=2.0, turns=0.1)
     rng = np.random.default_rng(2)
     hand = np.full_like(frames[0].frame.image, (140, 160, 200))
     for x, y in rng.uniform((200, 120), (440, 360), (12, 2)):
@@ -107,8 +113,7 @@ def test_a_trial_tries_one_projection_in_a_frame_of_a_tracked_ball():
 
 
 def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():
-    sim, frames = film("red-blue", seconds=2.0)
-    states, events, *_ = run(sim, frames)
+    states, events, *_ = tracked("red-blue", 2.0)
     refined = [s for s in states if s.colours.refined]
     assert refined
     assert all(isinstance(s.phase, Tracking) for s in refined)
@@ -118,22 +123,21 @@ def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():
 
 @pytest.mark.parametrize("pair", [pytest.param("dark-white", marks=pytest.mark.slow), "red-blue"])
 def test_the_map_keeps_the_colours_and_another_ball_finds_its_own(pair):
-    sim, frames = film(pair, seconds=2.0)
-    states, *_ = run(sim, frames)
+    states, *_ = tracked(pair, 2.0)
     known = SO3.to_map(states[-1])
     assert known is not None
     assert known.projection == states[-1].colours.projection
+    sim, frames = film(pair, 2.0)
     again, events, *_ = run(sim, frames[30:], known=known)
     assert again[0].absolute
     assert not any(isinstance(e, DiscColours) for e in events)
-    other, black = film("white-black")
-    states, events, *_ = run(other, black, known=known)
+    states, events, *_ = run(*film("white-black"), known=known)
     assert states[-1].colours.projection == GREY
     assert sum(isinstance(e, DiscColours) for e in events) == 1
 
 
 def test_settings_fix_the_colours_and_a_change_of_them_is_followed():
-    sim, frames = film("red-blue", seconds=1.0)
+    sim, frames = film("red-blue")
     fixed = Settings(discs=DiscSettings(weights=(-0.5, 0.0, 0.5)))
     states, events, *_ = run(sim, frames, fixed)
     assert {s.colours.projection for s in states} == {normalise(np.array([-0.5, 0.0, 0.5]))}
@@ -148,8 +152,7 @@ def test_settings_fix_the_colours_and_a_change_of_them_is_followed():
 
 
 def test_a_camera_that_was_moved_sees_the_same_colours():
-    sim, frames = film("red-blue", seconds=1.0)
-    states, _, _, tracker = run(sim, frames)
+    (sim, frames), (states, _, _, tracker) = film("red-blue"), tracked("red-blue")
     pose = replace(sim.scene.pose, position=sim.scene.pose.position + 0.01)
     made = frames[-1].frame
     after = with_pose(states[-1], Frame(made.image, made.stamp + 1 / 30, made.sequence + 1), tracker, pose).state

@@ -14,6 +14,8 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
+from tests.ball.texture import test_method
+from tests.ball.texture.test_method import events
 
 DT = 1.0 / 30.0
 ELSEWHERE = -25  # a picture of the film about 25° before the last one
@@ -21,12 +23,7 @@ ELSEWHERE = -25  # a picture of the film about 25° before the last one
 
 @pytest.fixture(scope="module")
 def film():
-    """Frames of a ball that begins to roll, and a tracker that knows the rig and the camera's pose."""
-    options = SimulationOptions(
-        pattern="speckle", motion="roll", turns=0.4, seconds=2.0, noise=3.0, size=(320, 240), seed=7
-    )
-    simulation = prepare(options)
-    return list(simulate(simulation)), build(simulation.scene.rig(), simulation.scene.pose, Settings())
+    return test_method.film("speckle", seconds=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +42,6 @@ def follow(images, tracker, steps=(), interval=DT):
         state = made.state
         steps.append(made)
     return steps
-
-
-def events(steps):
-    return [type(e) for s in steps for e in s.events]
 
 
 def hidden(film, tracked, seconds, spots=0.0):
@@ -89,16 +82,13 @@ def test_a_ball_that_comes_back_after_a_new_map_began_is_tracked(film, tracked):
     assert sum(s.state.status is Status.TRACKING for s in back) > 20
 
 
-def test_a_ball_that_was_hidden_for_long_is_still_recognised(film, tracked):
+@pytest.mark.parametrize("seconds", [3.0, 6.0])
+def test_a_hidden_ball_is_lost_without_a_motion_and_then_recognised_where_it_is(film, tracked, seconds):
     made, tracker = film
-    steps = hidden(film, tracked, 6.0)
-    back = follow(10 * [made[ELSEWHERE].frame.image], tracker, steps)[len(steps) :]
-    assert Recognised in events(back)
-
-
-def test_a_ball_that_was_hidden_for_a_while_is_recognised_where_it_is(film, tracked):
-    made, tracker = film
-    steps = hidden(film, tracked, 3.0)
+    steps = hidden(film, tracked, seconds)
+    lost = steps[len(tracked) :]
+    assert events(lost).count(BallLost) == 1
+    assert not any(s.estimate.increment.any() for s in lost)
     back = follow(10 * [made[ELSEWHERE].frame.image], tracker, steps)[len(steps) :]
     assert events(back) == [Recognised]
     assert error(back[-1], made[ELSEWHERE].attitude, tracked[-1], made[-1].attitude) < 0.3
@@ -125,6 +115,7 @@ def test_a_ball_at_rest_in_any_light_and_noise_sends_nothing(film, tracked, ligh
     ]
     rest = follow(images, tracker, tracked)[len(tracked) :]
     assert events(rest) == []
+    assert all(s.estimate.confirmed for s in rest)
     sent = np.cumsum([s.estimate.increment[:3] for s in rest], axis=0)[5:]  # the ball stopped within a frame
     assert np.degrees(np.ptp(sent, axis=0)).max() < 0.15
 

@@ -13,29 +13,27 @@ from spheremouse.session.offline import track
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Status
 
-OPTIONS = SimulationOptions(
-    pattern="marble", discs=10, motion="thesis", seconds=4.0, noise=3.0, size=(320, 240), seed=3
-)
+OPTIONS = SimulationOptions(pattern="marble", discs=10, motion="thesis", noise=3.0, size=(320, 240), seed=3)
 
 
 @cache
-def film():
-    simulation = prepare(OPTIONS)
+def film(seconds):
+    simulation = prepare(replace(OPTIONS, seconds=seconds))
     pose = simulation.scene.pose
     return replace(simulation.scene.rig(), pose=pose), list(simulate(simulation))
 
 
 @cache
-def tracked(detector):
-    rig, made = film()
+def tracked(detector, seconds):
+    rig, made = film(seconds)
     tracker = build(rig, rig.pose, Settings(detector=detector))
     return tracker, list(track(iter([m.frame for m in made]), tracker))
 
 
 def figures(detector):
     """RMS of the attitude's error after the first 2 s, rad, with its offset on the ball removed, and the mean NEES."""
-    _, made = film()
-    epochs = tracked(detector)[1]
+    _, made = film(4.0)
+    epochs = tracked(detector, 4.0)[1]
     which = [k for k, e in enumerate(epochs) if e.estimate.status is Status.TRACKING]
     assert which == list(range(which[0], len(epochs)))
     R = np.array([e.estimate.rotation for e in epochs])
@@ -60,11 +58,11 @@ def test_a_saved_map_is_that_of_the_discs_alone():
     """No anchor of the pattern is on it. A spot of the marble that passes for a disc may be on one map alone."""
     maps, frames = [], []
     for detector in ("default", "both"):
-        tracker, epochs = tracked(detector)
+        tracker, epochs = tracked(detector, 3.0)
         maps.append(tracker.method.to_map(epochs[-1].state))
         frames.append(epochs[-1].estimate.rotation)
     alone, both = maps
-    assert len(both) < len(tracked("both")[1][-1].state.filter.discs)
+    assert len(both) < len(epochs[-1].state.filter.discs)
     nearest = np.max(both.directions @ (frames[1].T @ frames[0]) @ alone.directions.T, axis=1)
     assert np.count_nonzero(nearest < np.cos(0.02)) <= 1
     assert 2 * len(both) > len(alone)

@@ -108,6 +108,7 @@ OTHER_NAMES: dict[Any, str] = {
         (aligned, "value", PICTURE.value[:5].copy()),
         (aligned, "value", PICTURE.value[:, 1:, 1:].copy()),
         (aligned, "weight", PICTURE.weight[:, 8:, 8:].copy()),
+        (correlated, "weight", PICTURE.weight[:, 8:, 8:].copy()),
         (aligned, "anchor_of", VIEW.anchor_of[:, 1:].copy()),
         (aligned, "across", VIEW.across[:, :2].copy()),
         (doubted, "first", SEEN.first[1:].copy()),

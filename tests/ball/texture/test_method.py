@@ -75,7 +75,7 @@ def test_the_attitude_follows_the_ball_and_no_motion_is_reported_before_it_turns
 @pytest.mark.parametrize("sigma", [pytest.param(0.0, marks=pytest.mark.slow), UNKNOWN_READOUT])
 def test_a_rolling_shutter_pulls_nothing(sigma):
     """A webcam exposes its rows one after another. At 90 °/s the ball turns by 2.7° meanwhile, 4 px."""
-    made, tracker = film("speckle", readout=0.03, turns=0.75, seconds=3.0)
+    made, tracker = film("speckle", readout=0.03, turns=0.5, seconds=2.0)
     if sigma:
         rig = replace(tracker.rig, readout_s=0.0, readout_sigma_s=sigma)
         tracker = build(rig, tracker.pose, Settings())
@@ -88,7 +88,7 @@ def test_a_rolling_shutter_pulls_nothing(sigma):
 
 def test_a_shift_in_the_bearings_is_no_turn_of_the_ball():
     """A ball that sways by 5 mm looks as if it turned by half a degree."""
-    made, tracker = film("speckle", seconds=3.0, size=(480, 360), lift=1.6, lift_by=(5.0, 0.0, 0.0))
+    made, tracker = film("speckle", seconds=2.4, size=(480, 360), lift=1.6, lift_by=(5.0, 0.0, 0.0))
     steps = follow([m.frame for m in made], tracker)
     assert events(steps) == [Found, Turned, OutOfRound]
     first = next(k for k, s in enumerate(steps) if s.state.status is Status.TRACKING)
@@ -120,14 +120,6 @@ def test_what_stands_still_before_the_ball_is_left_out(speckle):
     assert np.mean(odds > 3.0) > 0.3
 
 
-def test_a_ball_at_rest_sends_nothing(speckle):
-    made, tracker, steps = speckle
-    last = len(made) - 1
-    rests = follow([shown_again(made, last, last, n) for n in range(1, 21)], tracker, steps[-1].state)
-    assert all(s.estimate.confirmed for s in rests)
-    assert np.degrees(np.linalg.norm(sum(s.estimate.increment[:3] for s in rests))) < 0.1
-
-
 @pytest.mark.parametrize("back", [14, 18, 24, 28])
 def test_a_jump_is_recovered_in_the_next_frame_and_is_no_motion_of_a_hand(speckle, back):
     made, tracker, steps = speckle
@@ -139,20 +131,6 @@ def test_a_jump_is_recovered_in_the_next_frame_and_is_no_motion_of_a_hand(speckl
     assert all(np.degrees(np.linalg.norm(log(s.estimate.rotation @ change.T))) < 0.3 for s in jump)
     fastest = tracker.settings.loss.fastest
     assert all(np.linalg.norm(s.estimate.increment) <= fastest * 3.0 * DT for s in jump)
-
-
-def test_a_hidden_ball_is_lost_and_then_recognised_elsewhere(speckle):
-    made, tracker, steps = speckle
-    last, frame = len(made) - 1, made[-1].frame
-    grey = np.full_like(frame.image, 120)
-    hidden = [replace(shown_again(made, last, last, n), image=grey) for n in range(1, 16)]
-    lost = follow(hidden, tracker, steps[-1].state)
-    assert [e for e in events(lost) if e is BallLost] == [BallLost]
-    assert all(not s.estimate.increment.any() for s in lost)
-    found = follow([shown_again(made, last - 30, last, n) for n in range(16, 20)], tracker, lost[-1].state)
-    assert Recognised in events(found)
-    change = steps[-1].estimate.rotation @ made[last].attitude.T @ made[last - 30].attitude
-    assert np.degrees(np.linalg.norm(log(found[-1].estimate.rotation @ change.T))) < 0.3
 
 
 @pytest.mark.slow

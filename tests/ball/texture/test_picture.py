@@ -1,7 +1,6 @@
 """The picture of a ball's texture: geometry, contrast, and the native functions beside their NumPy twins."""
 
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -71,23 +70,9 @@ def directions(view):
 def picture_with(view, texture, weight=5.0):
     """The picture of a texture, each cell as its direction."""
     picture = empty_picture(view)
-    n = view.cells
-    x = np.array([twins.direction_of(f, i, j, n) for f, i, j in np.ndindex(6, n, n)])
-    picture.value[:] = texture(x / np.linalg.norm(x, axis=1, keepdims=True)).reshape(6, n, n)
+    picture.value[:] = texture(painted.cell_directions(view.cells).reshape(-1, 3)).reshape(picture.value.shape)
     picture.weight[:] = weight
     return picture
-
-
-@pytest.mark.parametrize("n", [32, 64, 248])
-def test_a_cell_lies_where_its_direction_is(n):
-    rng = np.random.default_rng(n)
-    x = rng.normal(size=(500, 3))
-    face, row, column = twins.place_on(x, n)
-    back = np.array([twins.direction_of(*cell, n) for cell in zip(face, row, column, strict=True)])
-    assert np.allclose(back / np.linalg.norm(back, axis=1, keepdims=True), x / np.linalg.norm(x, axis=1, keepdims=True))
-    assert row.min() >= 0.0  # a cell has neighbours on its own face, beyond the edges too
-    assert row.max() < n - 1
-    assert column.max() < n - 1
 
 
 def test_anchors_are_spread_evenly_and_each_tile_belongs_to_the_nearest(view):
@@ -491,16 +476,3 @@ def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
         seen = weigh(view, seen._replace(contrast=contrast), picture, R, NOISE, 0.02)
     rest = seen.offset - light
     assert rest.std() < 0.2 * light.std()
-
-
-def test_wrong_arrays_are_named(view):
-    seen, picture = first_seen(view, np.zeros(len(view.at), np.float32)), empty_picture(view)
-    samples = (seen.contrast, view.direction, seen.least, seen.offset)
-    for at, name in enumerate(("contrast", "direction", "odds", "offset")):
-        wrong: Any = (*samples[:at], samples[at].astype(np.float64), *samples[at + 1 :])
-        with pytest.raises(TypeError, match=name):
-            kernels.correlate_texture(wrong, picture[:2], np.eye(3)[None], 10)
-    with pytest.raises(TypeError, match="odds"):
-        kernels.correlate_texture((*samples[:2], seen.odds[1:], *samples[3:]), picture[:2], np.eye(3)[None], 10)
-    with pytest.raises(TypeError, match="value, weight"):
-        kernels.correlate_texture(samples, (picture.value, picture.weight[:, 8:, 8:].copy()), np.eye(3)[None], 10)

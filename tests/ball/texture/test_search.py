@@ -106,20 +106,15 @@ def test_a_lost_ball_is_found_at_any_attitude_within_two_seconds():
         assert is_right(found, R)
 
 
-def test_another_texture_fits_nowhere():
+@pytest.mark.parametrize("texture", [lambda seed: waves(100 + seed), lambda _: plain], ids=["another", "noise"])
+def test_another_texture_or_noise_fits_nowhere(texture):
     rng = np.random.default_rng(4)
     for seed in range(6):
-        now = state_at(waves(100 + seed), random_turn(rng), rng, learnt=waves(seed % 2), turn=seed)
+        now = state_at(texture(seed), random_turn(rng), rng, learnt=waves(seed % 2), turn=seed)
         before = random_turn(rng)
         assert near(DETECTOR, now, before) == (None, False)
-        assert search(DETECTOR, now, before, lost=seed % 2 == 1)[0] is None
-
-
-def test_noise_alone_fits_nowhere():
-    rng = np.random.default_rng(5)
-    for seed in range(6):
-        now = state_at(plain, np.eye(3), rng, learnt=waves(seed % 2), turn=seed)
-        assert search(DETECTOR, now, random_turn(rng), lost=True)[0] is None
+        for lost in (False, True):
+            assert search(DETECTOR, now, before, lost=lost)[0] is None
 
 
 def test_a_texture_of_rings_tells_nothing_of_the_turn_about_their_axis():
