@@ -39,11 +39,10 @@ def processor(pid: int) -> tuple[float, float]:
     )
 
 
-def memory(pid: int) -> tuple[float, float]:
-    """Return private modified pages and all resident pages, MB."""
-    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
-    kb = {line.split()[0]: float(line.split()[1]) for line in lines}
-    return kb["Private_Dirty:"] * 1.024e-3, kb["Rss:"] * 1.024e-3
+def megabytes(pid: int, file: str = "status") -> dict[str, float]:
+    """Return the amounts of memory that a file of /proc has of a process."""
+    lines = Path(f"/proc/{pid}/{file}").read_text().splitlines()
+    return {line.split(":")[0]: 1.024e-3 * float(line.split()[1]) for line in lines if line.endswith("kB")}
 
 
 def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dict[str, Any]]:
@@ -54,14 +53,15 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
         command += ["--source", f"dataset:{folder}", "--realtime", "--output", "null"]
         client = Client(Path(name) / "s")
         with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-            status, first = {}, None
+            status, first, mb = {}, None, {}
             while process.poll() is None and (first is None or time.monotonic() < first[0] + seconds):
                 time.sleep(0.2)
                 try:
                     status = client.ask("status")
                     if first is None and status["state"] == "tracking" and status["frames"] > 30:
                         first = (time.monotonic(), processor(process.pid))
-                    spent, last, resident = processor(process.pid), time.monotonic(), memory(process.pid)
+                    spent, last = processor(process.pid), time.monotonic()
+                    mb = megabytes(process.pid, "smaps_rollup")
                 except (ControlError, OSError):
                     continue
             process.terminate()
@@ -75,7 +75,7 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
         folder.name, f"{fps:g}", pair(latency), pair(stages["detect"]), pair(stages["filter"]),
         f"{0.1 * latency['p50'] * fps:.1f} / {0.1 * latency['p99'] * fps:.1f} %",
         *(f"{100.0 * (b - a) / (last - first[0]):.1f} %" for a, b in zip(first[1], spent, strict=True)),
-        *(f"{mb:.0f}" for mb in resident)
+        f"{mb['Private_Dirty']:.0f}", f"{mb['Rss']:.0f}"
     ]  # fmt: skip
     return cells, status
 

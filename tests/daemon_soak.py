@@ -64,6 +64,7 @@ FAULTS = {  # frames from, to
     "bumped": (1, 1),  # the camera, from one place to the other
     "disk": (60, 200),  # no file can grow
 }
+ASKED = (*["status"] * 3, "reinit", "pause", "reload", "set", "output", "snapshot", "record", "wrong")
 BLIND = ("dark", "white", "noise", "night")  # nothing can be tracked
 RESTS = ("pause", "night")
 DAY = 86_400.0  # s
@@ -320,24 +321,11 @@ class Somebody(threading.Thread):
         self.over, self.warm = threading.Event(), threading.Event()  # warm: all of it was asked once
 
     def run(self) -> None:
-        kinds = (
-            "status",
-            "status",
-            "status",
-            "reinit",
-            "pause",
-            "reload",
-            "set",
-            "output",
-            "snapshot",
-            "record",
-            "wrong",
-        )
-        for kind in sorted(set(kinds)):
+        for kind in sorted(set(ASKED)):
             self._ask(kind, always=True)
         self.warm.set()
         while not self.over.wait(EVERY):
-            self._ask(kinds[int(self._rng.integers(len(kinds)))])
+            self._ask(ASKED[int(self._rng.integers(len(ASKED)))])
 
     def _ask(self, kind: str, always: bool = False) -> None:
         c, rng = self._client, self._rng
@@ -473,11 +461,9 @@ _mallinfo2.restype = _Mallinfo2
 
 def _ledger(cabinet: Cabinet, daemon: Any) -> None:
     report: ReporterStatus = daemon.parts.outputs.status()[0][1]
+    sent = cabinet.total + report.unsent + left_over(daemon) - report.ahead
     laws = {
-        "sent + unsent - ahead": (
-            (cabinet.total + report.unsent + left_over(daemon) - report.ahead).tolist(),
-            cabinet.given.tolist(),
-        ),
+        "sent + unsent - ahead": (sent.tolist(), cabinet.given.tolist()),
         "reports": (report.reports, cabinet.reports),
         "looked at + skipped": (daemon.parts.worker.seen + daemon.parts.ring.skipped, cabinet.produced),
         "tracked": (daemon.parts.worker.frames, cabinet.tracked),

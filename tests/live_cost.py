@@ -37,6 +37,7 @@ from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
 from spheremouse.simulate.ball.scene import default_scene
+from tests.daemon_latency import megabytes
 from tests.daemon_process import Camera
 from tests.daemon_world import Film
 
@@ -201,9 +202,8 @@ KINDS: dict[str, Callable[[Path, float], None]] = {
 
 def memory(pid: int) -> float:
     """MB resident without pages of files, with shared memory."""
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    kb = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith(("RssAnon", "RssShmem"))}
-    return sum(map(float, kb.values())) * 1.024e-3
+    mb = megabytes(pid)
+    return mb["RssAnon"] + mb["RssShmem"]
 
 
 def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float, float, float, int]:
@@ -255,20 +255,9 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "tests.live_cost",
-                "--serve",
-                name,
-                "--priority",
-                str(given.priority),
-                "--fps",
-                str(given.fps),
-            ],
-            stdout=subprocess.DEVNULL,
-        )
+        words = ("--serve", name, "--priority", str(given.priority), "--fps", str(given.fps))
+        command = [sys.executable, "-m", "tests.live_cost", *words]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         path = folder / "s"
         wait_for_tracking(path)
         print(f"load {os.getloadavg()[0]:.1f}; {Client(path).status().scheduling}", file=sys.stderr)

@@ -158,7 +158,6 @@ def processor_time(publish):
 
 
 def cost(specs, rounds):
-    """Print the cost of each output."""
     rng = np.random.default_rng()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         publish = {"": []}
@@ -182,7 +181,6 @@ def cost(specs, rounds):
 
 
 def main() -> None:
-    """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("outputs", nargs="*", default=OUTPUTS)
     parser.add_argument("--rounds", type=int, default=20)

@@ -129,16 +129,8 @@ def measure(folder, rounds, seconds):
         read = [stack.enter_context(connect("udp", ("127.0.0.1", port), BUFFER)) for port in (mouse, frames)]
         outputs = [f"udp:{mouse},format=reports", f"udp:{frames}", f"tcp:{tcp}", f"ws:{ws}", f"osc:{osc}"]
         outputs += [f"spacenav:{place}", f"text:{scratch}/pipe", f"csv:{scratch}/table.csv"]
-        words = [
-            "--replay",
-            "--source",
-            f"dataset:{folder}",
-            "--set",
-            "motion.counts_per_mm=20",
-            "--set",
-            f"control.socket={scratch}/s",
-            "--no-status",
-        ]
+        words = ["--replay", "--no-status", "--source", f"dataset:{folder}"]
+        words += ["--set", "motion.counts_per_mm=20", "--set", f"control.socket={scratch}/s"]
         words += [word for output in outputs for word in ("--output", output)]
         command = [sys.executable, "-m", "spheremouse", "run", *words]
         daemon = stack.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
@@ -157,7 +149,6 @@ def measure(folder, rounds, seconds):
 
 
 def main() -> None:
-    """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--rounds", type=int, default=30)

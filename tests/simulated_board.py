@@ -130,13 +130,11 @@ class Simulator(Board):
         self._thread = threading.Thread(target=self._run, name="board", daemon=True)
 
     def reset(self) -> None:
-        """Reset the board, from any thread."""
         with self._lock:
             super().reset()
             self.resets += 1
 
     def unplug(self) -> None:
-        """Unplug the serial cable. The board keeps running."""
         with self._lock:
             for end in (self._master, self._slave):
                 with contextlib.suppress(OSError):
@@ -194,7 +192,6 @@ class Simulator(Board):
 
 
 def main() -> None:
-    """Simulate a board until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--damage", type=float, default=0.0, help="damaged bytes each way, per cent")
     with Simulator(parser.parse_args().damage / 100.0) as board, contextlib.suppress(KeyboardInterrupt):

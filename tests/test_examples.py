@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pythonosc.osc_bundle import OscBundle
+from reporting import free_port
 from scipy.spatial.transform import Rotation
 
 from spheremouse.output import Report, open_output
@@ -67,12 +68,6 @@ def test_demo_plays_the_game_with_a_simulated_ball(game):
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert re.fullmatch(r"huts hit: \d+\n", run.stdout)
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def test_the_client_of_fictrac_reads_our_lines():

@@ -15,6 +15,7 @@ from spheremouse.session.settings import Configuration
 from spheremouse.wand.settings import ColourSettings
 
 FREE = ("provenance",)  # sections for people, which nothing reads
+FILES = RigFile, CameraFile, MapFile, PictureMapFile, WandModel, DeviceFile
 
 
 def unbounded(schema, defs, path=""):
@@ -38,19 +39,7 @@ def unbounded(schema, defs, path=""):
         yield f"{path} (its length)"
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        config.model_of(Configuration),
-        config.model_of(ColourSettings),
-        RigFile,
-        CameraFile,
-        MapFile,
-        PictureMapFile,
-        WandModel,
-        DeviceFile,
-    ],
-)
+@pytest.mark.parametrize("model", [*map(config.model_of, (Configuration, ColourSettings)), *FILES])
 def test_every_number_has_a_bound_on_both_sides_and_every_list_a_greatest_length(model):
     schema = model.model_json_schema()
     assert len(schema["properties"]) > 1 or "camera" in schema["properties"]

@@ -33,7 +33,7 @@ from websockets.typing import Origin
 from spheremouse.capture import Payload
 from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
-from tests.daemon_latency import processor
+from tests.daemon_latency import megabytes, processor
 from tests.daemon_process import Camera, RawFrame
 from tests.live_cost import RATIO, memory, percentiles, ratio, serve, wait_for_tracking
 from tests.reporting import free_port
@@ -66,8 +66,6 @@ class JpegCamera(Camera):
 
 
 class Page:
-    """The page process."""
-
     def __init__(self, folder: Path, daemon: Path) -> None:
         self.port, file = free_port(), folder / "token"
         words = ("--port", str(self.port), "--socket", str(daemon), "--token-file", str(file))
@@ -91,9 +89,8 @@ class Page:
 
     def memory(self) -> tuple[float, float]:
         """MB resident now, and at most so far."""
-        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
-        kb = {line.split(":")[0]: line.split()[1] for line in lines if line.startswith(("VmRSS", "VmHWM"))}
-        return float(kb["VmRSS"]) * 1.024e-3, float(kb["VmHWM"]) * 1.024e-3
+        mb = megabytes(self.process.pid)
+        return mb["VmRSS"], mb["VmHWM"]
 
 
 async def watch(page: Page, pictures: list[float], *, owner: bool) -> None:
@@ -181,7 +178,6 @@ async def unread(page: Page, seconds: float) -> list[str]:
 
 
 async def table(page: Page, seconds: float, connections: int) -> None:
-    """Print the table of the page process."""
     print("| browsers | pictures/s | of a core | memory | at most |\n| --- | --- | --- | --- | --- |")
     rows = {"none": [], "one owner": [True], "two owners": [True, True], "one visitor, masked": [False]}
     work = {name: measure(page, owners, seconds) for name, owners in rows.items()}
@@ -259,7 +255,6 @@ def print_cost(periods: list[tuple[str, float, float, float]], file: Path) -> No
 
 
 def main() -> None:
-    """Print the table, and the load."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each row of the first table")
     parser.add_argument("--connections", type=int, default=1000)

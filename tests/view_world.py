@@ -39,14 +39,12 @@ def wait_for(what, condition, patience=PATIENCE):
 
 
 def start(*words, stderr=subprocess.DEVNULL):
-    """Start a Python process."""
     paths = os.pathsep.join(map(str, (HERE.parent, HERE)))
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
     return subprocess.Popen([sys.executable, *map(str, words)], env=environment, stderr=stderr)
 
 
 def end(process):
-    """End a process."""
     process.terminate()
     process.wait(PATIENCE)
 
@@ -69,11 +67,9 @@ class Server:
         wait_for("the page process answers", self._answers)
 
     def end_page(self):
-        """End the page process."""
         end(self._page)
 
     def signal_page(self, number):
-        """Send a signal to the page process."""
         self._page.send_signal(number)
 
     def _answers(self):
@@ -107,11 +103,9 @@ class Service(Server):
         self.start_page()
 
     def start_daemon(self):
-        """Start the daemon."""
         self._daemon = start(__file__, self.folder)
 
     def end_daemon(self):
-        """End the daemon."""
         end(self._daemon)
 
     def status(self):
@@ -135,7 +129,6 @@ class Service(Server):
         self.ask("reload")
 
     def close(self):
-        """End both processes."""
         self.end_page()
         self.end_daemon()
 

@@ -3,13 +3,12 @@
 import json
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
 from experiments import mistakes, pointer, surface
 from experiments.kit import tour
-from experiments.mistakes import wrong
+from experiments.mistakes import mouse, pointer_errors, wrong
 from experiments.pointer import Path, latency
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -25,14 +24,6 @@ RIG = default_scene().rig()
 @pytest.fixture(scope="module")
 def film():
     return tour.filmed({}, 1, 1.2)
-
-
-def pointer_errors(sent, made) -> Any:
-    return mistakes.pointer_errors(sent, made)
-
-
-def mouse(*arguments) -> Any:
-    return mistakes.mouse(*arguments)
 
 
 # ---- wrong rigs ----

@@ -8,10 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from experiments import NAMES, wand, wand_films
-from experiments import wand_films as wand_experiments
 from experiments.kit.job import Request
 from experiments.kit.render import Plot, Table, by, markdown, number, rms, tidy, write_section
-from experiments.wand_films import Film, Variant
 from scipy.special import ndtr
 
 from spheremouse.simulate.to_dataset import write_wand
@@ -49,16 +47,21 @@ TINY = {  # by experiment: keys of jobs, their functions and parameters
     "pointer": {"play-15-0": ("played", 15.0, 0, 4.0), "stop-30": ("stopped", 30.0, 1)},
     "wand": {"drive-01": ("film", "drive-01", True)},
 }  # fmt: skip
-WAND = wand_films.Film(
-    "drive", "a short one", WandOptions(motion="hand", seconds=0.4, size=(320, 240)), (1,),
-    tuple(wand_films.Variant(name, WandSettings(particles=20), known=True) for name in (
-        "350, known start", "350, all as in the thesis")),
+FILM = wand_films.Film(
+    "drive", "a short one", WandOptions(motion="hand", seconds=0.4, size=(320, 240)), (1,), (
+        wand_films.Variant("350, known start", WandSettings(particles=30), known=True),
+        wand_films.Variant("350, all as in the thesis", wand_films.thesis_settings(30), known=True),
+    ),
 )  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def tiny(monkeypatch):
+    monkeypatch.setattr(wand_films, "films", lambda quick: (FILM,))
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_every_experiment_runs_and_renders(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(wand_films, "films", lambda quick: (WAND,))
+def test_every_experiment_runs_and_renders(name, tmp_path):
     module = import_module(f"experiments.{name}")
     work = {key: (getattr(module, function), parameters) for key, (function, *parameters) in TINY.get(name, {}).items()}
     results = {key: function(*parameters) for key, (function, parameters) in work.items()} or {"far26-0": rendered()}
@@ -130,24 +133,6 @@ def test_a_section_has_its_parts_their_numbers_and_what_failed(written, tmp_path
     figure = (tmp_path / "lines.svg").read_bytes()
     written(parts, {"a": {"x": 1}})
     assert (tmp_path / "lines.svg").read_bytes() == figure
-
-
-FILM = Film(
-    "drive",
-    "a short one",
-    WandOptions(motion="hand", seconds=0.4, size=(320, 240)),
-    (1,),
-    (
-        Variant("350, known start", WandSettings(particles=30), known=True),
-        Variant("50, known start", WandSettings(particles=20), known=True),
-        Variant("350, all as in the thesis", wand_experiments.thesis_settings(30), known=True),
-    ),
-)
-
-
-@pytest.fixture(autouse=True)
-def tiny(monkeypatch):
-    monkeypatch.setattr(wand_experiments, "films", lambda quick: (FILM,))
 
 
 def test_a_shared_recording_has_rows_of_its_own(tmp_path):
