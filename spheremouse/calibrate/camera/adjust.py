@@ -109,8 +109,7 @@ def start(views: Sequence[View], size: tuple[int, int]) -> Array:
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
         poses = poses_of(views, camera)
         x = np.concatenate([interior_vector(camera), np.zeros(SHAPE), poses.ravel()])
-        residual, _ = Bundle(views, size, np.zeros(SHARED, bool)).evaluate(x, np.ones(len(views)))
-        misfit = float(np.median(np.abs(residual)))
+        misfit = float(np.median(np.abs(Bundle(views, size, np.zeros(SHARED, bool)).linear(x)[0])))
         if misfit < least:
             best, least = x, misfit
     if best is None:
@@ -225,20 +224,20 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
 
     for _ in range(_MAX_ROUNDS):
         part, y, residual, J, Q = adjusted(y)
-        rows, blocks = np.arange(len(residual)), redundancy(J, Q, 2)
+        blocks = redundancy(J, Q, 2)
         number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
         test = outlier_statistic(residual.reshape(-1, 2), blocks)
         false = test > chi2.isf(FALSE_ALARM / len(test), 2)  # chance to lose a good corner
         false[-SHAPE // 2 :] = False  # the board's shape is no corner
         if not false.any():
-            factors = variance_factors(residual, number, [np.isin(rows, range(g.start, g.stop)) for g in part.groups])
+            factors = variance_factors(residual, number, part.groups)
             sigma[index] = np.maximum(sigma[index] * np.sqrt(factors), MIN_SIGMA)
             if np.all(np.abs(factors - 1.0) < 0.02):
                 break
             continue
         # a false corner enlarges its neighbours' residuals: only the largest go at once
         for v, group in zip(index.tolist(), part.groups, strict=True):
-            here = slice(group.start // 2, group.stop // 2)
+            here = group[::2]
             bad = false[here] & (test[here] >= 0.25 * test[here].max())
             kept[v][np.flatnonzero(kept[v])[bad]] = False
     part, y, residual, J, Q = adjusted(y)
@@ -288,7 +287,7 @@ def _into_cam(covariance: Array, y: Array) -> None:
         covariance[:, rows] = covariance[:, rows] @ J[v].T
 
 
-def _on_the_shared(J: Jacobian, residual: Array, groups: Sequence[slice], k: int) -> tuple[Array, Array]:
+def _on_the_shared(J: Jacobian, residual: Array, groups: Sequence[NDArray[np.bool_]], k: int) -> tuple[Array, Array]:
     """Normal matrices, (v, k, k), and gradients, (v, k), of each view by the k shared unknowns, the pose eliminated."""
     N, g, dense = [], [], J.toarray()
     for group in groups:

@@ -154,18 +154,12 @@ class Bundle:
         self.plate = plate or Plate.of(self.points)
         self._by_shape = self.plate.by_shape(self.points)
         self._weight = free[INTERIOR:] / SHAPE_SIGMA  # of the observed shape
-        shared = np.broadcast_to(np.arange(SHARED), (len(self.uv), SHARED))
-        six = SHARED + 6 * self.of[:, None] + np.arange(6)
-        where = np.hstack([shared, six])
-        self._indices = np.repeat(where, 2, axis=0).ravel()
-        self._indptr = np.arange(2 * len(self.uv) + 1) * (SHARED + 6)
-        self._open = np.concatenate([free, np.ones(6 * len(views), bool)])
 
     @property
-    def groups(self) -> list[slice]:
-        """Rows of each view."""
-        ends = 2 * np.cumsum(self.counts)
-        return [slice(int(e - 2 * n), int(e)) for e, n in zip(ends, self.counts, strict=True)]
+    def groups(self) -> list[NDArray[np.bool_]]:
+        """Rows of each view in `jacobian`, a mask (2n + 4,) each."""
+        of = np.append(np.repeat(self.of, 2), np.full(SHAPE, -1))
+        return [of == v for v in range(len(self.views))]
 
     def only(self, used: NDArray[np.bool_]) -> "Bundle":
         """Return the adjustment of the views in a mask (v,)."""
@@ -189,14 +183,6 @@ class Bundle:
         J[:, :, SHARED : SHARED + 3] = duv @ (-hat(turned) @ left_jacobian(r)[self.of])
         J[:, :, SHARED + 3 :] = duv
         return uv - self.uv, J
-
-    def evaluate(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals over the views' `sigma` (v,), (2n,), and their Jacobian, (2n, 13 + 6v)."""
-        residual, J = self.linear(x)
-        weight = 1.0 / sigma[self.of]
-        data = (J * weight[:, None, None]).reshape(-1)
-        jacobian = sparse.csr_array((data, self._indices, self._indptr), shape=(residual.size, len(x)))
-        return (residual * weight[:, None]).ravel(), jacobian
 
     def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
         """Return the unknowns (13 + 6v,) at the minimum of squares, from the start x; fixed ones keep their value.
@@ -233,19 +219,24 @@ class Bundle:
         return Normal(N[:, :k, :k].sum(axis=0), down[:, :k].sum(axis=0), N[:, k:, k:], N[:, k:, :k], down[:, k:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals and Jacobian as `evaluate`, then those of the observed shape, (2n + 4,) and (2n + 4, e).
+        """Return residuals over the views' `sigma` (v,), then those of the observed shape, (2n + 4,), and the Jacobian.
 
-        The columns are those of the e estimated unknowns.
+        It is (2n + 4, e), with a column for each of the e estimated unknowns.
         """
-        residual, J = self.evaluate(x, sigma)
+        residual, J = self.linear(x)
+        weight, n = 1.0 / sigma[self.of], len(residual)
+        shared = np.broadcast_to(np.arange(SHARED), (n, SHARED))
+        where = np.hstack([shared, SHARED + 6 * self.of[:, None] + np.arange(6)])
+        data = (J * weight[:, None, None]).ravel(), np.repeat(where, 2, axis=0).ravel()
+        views = sparse.csr_array((*data, np.arange(2 * n + 1) * (SHARED + 6)), shape=(2 * n, len(x)))
         observed = sparse.csr_array((self._weight, (np.arange(SHAPE), np.arange(INTERIOR, SHARED))), (SHAPE, len(x)))
-        every = sparse.csr_array(sparse.vstack([J, observed]).tocsc()[:, np.flatnonzero(self._open)])
-        return np.concatenate([residual, self._weight * x[INTERIOR:SHARED]]), every
+        is_open = np.concatenate([self.free, np.ones(len(x) - SHARED, bool)])
+        every = sparse.csr_array(sparse.vstack([views, observed]).tocsc()[:, np.flatnonzero(is_open)])
+        return np.concatenate([(residual * weight[:, None]).ravel(), self._weight * x[INTERIOR:SHARED]]), every
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return measured minus computed, (n, 2) px of each view."""
-        residual, _ = self.evaluate(x, np.ones(len(self.views)))
-        return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
+        return tuple(np.split(-self.linear(x)[0], np.cumsum(self.counts)[:-1]))
 
     def spread(self, x: Array) -> Array:
         """Return the median absolute residual of each view, (v,) px."""
