@@ -60,12 +60,7 @@ class _Points:
 
 
 def find_ball(
-    spots: Spots,
-    poses: Sequence[Pose],
-    camera: InteriorOrientation,
-    disc_radius: float,
-    tolerance: float,
-    seed: int = 0,
+    spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, disc_radius: float, tolerance: float
 ) -> tuple[Array, float]:
     """Return centre (3,) m and radius m of the ball on which discs of `disc_radius` m lie, to about `tolerance` m.
 
@@ -80,7 +75,7 @@ def find_ball(
             f"{len(points.position)} dark spots are seen alike in several photos, at least 5 discs are needed: is the "
             "ball in the photos, did it stay still between them, are its discs dark?"
         )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     largest = float(np.linalg.norm(np.ptp(points.position, axis=0))) / _MIN_EXTENT
     rough = []
     for _ in range(_PAIR_SAMPLES):
@@ -107,8 +102,8 @@ def find_ball(
     return centre, radius
 
 
-def number_discs(photo: NDArray[np.intp], directions: Array, angle: float, fewest: int = 2) -> NDArray[np.intp]:
-    """Return the disc number of each of n spots on the ball, (n,); -1 for one seen in fewer than `fewest` photos.
+def number_discs(photo: NDArray[np.intp], directions: Array, angle: float) -> NDArray[np.intp]:
+    """Return the disc number of each of n spots on the ball, (n,); -1 for one seen in fewer than two photos.
 
     `directions` (n, 3) are unit vectors from the ball's centre; those within `angle` rad are one disc. Of two spots in
     one photo the one nearer to the disc's middle counts.
@@ -118,7 +113,7 @@ def number_discs(photo: NDArray[np.intp], directions: Array, angle: float, fewes
     cosine = directions @ directions.T > np.cos(angle)
     for disc in range(len(photo)):
         support = np.array([len(np.unique(photo[row & free])) if free[i] else 0 for i, row in enumerate(cosine)])
-        if support.max(initial=0) < fewest:
+        if support.max(initial=0) < 2:
             break
         members = np.flatnonzero(cosine[int(np.argmax(support))] & free)
         middle = np.median(directions[members], axis=0)
@@ -167,24 +162,16 @@ def _meeting_points(
         for a, b in combinations(range(len(poses)), 2)
     ]
     points = np.concatenate(found)
-    offs, alongs, nearests = [], [], []
-    for k in range(len(poses)):
-        mine = np.flatnonzero(photo == k)
-        if len(points) == 0 or len(mine) == 0:
-            offs.append(np.full(len(points), np.inf))
-            alongs.append(np.ones(len(points)))
-            nearests.append(np.zeros(len(points), dtype=np.intp))
-            continue
-        way = points - origin[k]
-        along = way @ direction[mine].T
-        square = np.sum(way**2, axis=1)[:, None] - along**2
-        square = np.where(along > 0.0, square, np.inf)
+    shape, rows = (len(points), len(poses)), np.arange(len(points))
+    off, along, nearest = np.full(shape, np.inf), np.ones(shape), np.zeros(shape, dtype=np.intp)
+    for k in np.unique(photo):
+        mine, way = np.flatnonzero(photo == k), points - origin[k]
+        towards_point = way @ direction[mine].T
+        square = np.sum(way**2, axis=1)[:, None] - towards_point**2
+        square = np.where(towards_point > 0.0, square, np.inf)
         which = np.argmin(square, axis=1)
-        rows = np.arange(len(points))
-        offs.append(np.sqrt(np.maximum(square[rows, which], 0.0)))
-        alongs.append(along[rows, which])
-        nearests.append(mine[which])
-    off, along, nearest = (np.stack(part, axis=1) for part in (offs, alongs, nearests))
+        off[:, k], along[:, k] = np.sqrt(np.maximum(square[rows, which], 0.0)), towards_point[rows, which]
+        nearest[:, k] = mine[which]
     sees = off < tolerance
     cosine = np.where(sees, area[nearest] * along**2 / face[nearest], np.nan)
     towards = -direction[nearest]
