@@ -88,6 +88,11 @@ class Pattern:
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
 
     @property
+    def grid(self) -> tuple[int, int]:
+        """Numbers of inner corners, the larger one first."""
+        return max(self.columns, self.rows), min(self.columns, self.rows)
+
+    @property
     def words(self) -> dict[str, str]:
         """The board in the words of the command line and of board.yaml."""
         words = {"board": f"{self.columns}x{self.rows}", "square": f"{1e3 * self.square:.9g}mm"}

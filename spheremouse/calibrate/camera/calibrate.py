@@ -55,7 +55,7 @@ def calibrate(
     index = [i for i, s in enumerate(seen) if len(s.ids)]
     if len(index) < MIN_VIEWS:
         raise _too_few(photos, seen, pattern)
-    first = calibrate_board([_view(pattern, seen[i]) for i in index], size, terms)
+    first = calibrate_board([view_of(seen[i], pattern) for i in index], size, terms)
     fine = {i: seen[i] for i in index}
     for k, i in enumerate(index):
         progress("measuring corners")
@@ -63,7 +63,7 @@ def calibrate(
             R, t = first.rotations[k], first.translations[k]
             refined = measure_in_plane(image(photos[i]), pattern, seen[i], first.camera, R, t)
             fine[i] = refined if len(refined.ids) >= 0.8 * len(seen[i].ids) else seen[i]
-    views = [_view(pattern, fine[i]) for i in index]
+    views = [view_of(fine[i], pattern) for i in index]
     found = calibrate_board(views, size, terms)
     _check_plausible(found, pattern)
     used = np.flatnonzero(found.used).tolist()
@@ -73,7 +73,8 @@ def calibrate(
     return CameraCalibration(tuple(photos), pattern, tuple(index), tuple(views), found, covered, skipped)
 
 
-def _view(pattern: Pattern, seen: Sighting) -> View:
+def view_of(seen: Sighting, pattern: Pattern) -> View:
+    """Return the corners of a sighting of a board."""
     return View(pattern.corners()[seen.ids], seen.uv)
 
 
@@ -81,12 +82,11 @@ def rejection_reason(seen: Sighting, pattern: Pattern) -> str:
     """Return the reason why a photo is no view."""
     if pattern.marker is not None:
         return f"shows {seen.markers} markers of {pattern.dictionary}, and too few corners of this board"
-    wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
-    if seen.grid == wanted:
+    if seen.grid == pattern.grid:
         return "the board cannot be made out sharply"
     if not _is_board(seen.grid):
         return "shows no chessboard"
-    return f"shows {seen.grid[0]}x{seen.grid[1]} corners of a chessboard, not {_words(pattern)}"
+    return f"shows {seen.grid[0]}x{seen.grid[1]} corners of a chessboard, not {pattern.words['board']}"
 
 
 def _is_board(grid: tuple[int, int] | None) -> TypeGuard[tuple[int, int]]:
@@ -94,30 +94,25 @@ def _is_board(grid: tuple[int, int] | None) -> TypeGuard[tuple[int, int]]:
     return grid is not None and grid[0] * grid[1] >= _MIN_CORNERS
 
 
-def _words(pattern: Pattern) -> str:
-    return f"{pattern.columns}x{pattern.rows}"
-
-
 def _too_few(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern) -> CalibrationError:
     """Find the reason why there are too few views."""
-    n = sum(1 for s in seen if len(s.ids))
+    n, board = sum(1 for s in seen if len(s.ids)), pattern.words["board"]
     if pattern.marker is None:
         grids = Counter(s.grid for s in seen if _is_board(s.grid) and not len(s.ids))
-        wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
-        grids.pop(wanted, None)
+        grids.pop(pattern.grid, None)
         if grids:
             (grid, times), *_ = grids.most_common()
             name = next(p.path.name for p, s in zip(photos, seen, strict=True) if s.grid == grid and not len(s.ids))
             if times >= 2 and times > n and times >= 0.5 * len(photos):
                 return CalibrationError(
-                    f"the board in {name} has {grid[0]}x{grid[1]} inner corners, not {_words(pattern)}"
+                    f"the board in {name} has {grid[0]}x{grid[1]} inner corners, not {board}"
                     f" ({times} of {len(photos)} photos agree); give --board {grid[0]}x{grid[1]}, or photos of the "
                     "other board"
                 )
     if n == 0 and any(s.markers for s in seen):
         return CalibrationError(
-            f"the markers do not lie as on a board of {_words(pattern)} inner corners with {pattern.dictionary}; count "
-            f"the squares ({_words(pattern)} inner corners are {pattern.columns + 1} by {pattern.rows + 1} squares), "
+            f"the markers do not lie as on a board of {board} inner corners with {pattern.dictionary}; count "
+            f"the squares ({board} inner corners are {pattern.columns + 1} by {pattern.rows + 1} squares), "
             "along first, and give --board and --dictionary"
         )
     if n == 0 and not any(_is_board(s.grid) for s in seen):
@@ -130,7 +125,7 @@ def _too_few(photos: Sequence[Photo], seen: Sequence[Sighting], pattern: Pattern
         )
     whole = "the whole board" if pattern.marker is None else "the board"
     return CalibrationError(
-        f"{whole} ({_words(pattern)} inner corners) is seen in {n} of {len(photos)} photos, and 3 are the least; take "
+        f"{whole} ({board} inner corners) is seen in {n} of {len(photos)} photos, and 3 are the least; take "
         f"10 to 20 that show it from different sides{_reasons(photos, seen, pattern)}"
     )
 
@@ -189,7 +184,7 @@ def _length(metres: float) -> str:
 def provenance(calibration: CameraCalibration) -> dict[str, Any]:
     """Return the provenance for the camera file: board, residual, photos with their hashes."""
     pattern = calibration.pattern
-    more: dict[str, Any] = {"board": _words(pattern), "square": pattern.square}
+    more: dict[str, Any] = {"board": pattern.words["board"], "square": pattern.square}
     if pattern.marker is not None:
         more |= {"marker": pattern.marker, "dictionary": pattern.dictionary}
     more["rms_px"] = round(calibration.found.rms, 4)

@@ -74,7 +74,7 @@ def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float)
     ids = np.flatnonzero(np.isfinite(uv).all(axis=1))
     if len(ids) < 0.9 * len(uv):
         return Sighting(np.empty(0, np.intp), np.empty((0, 2)), seen)
-    return Sighting(ids, uv[ids], (max(wanted), min(wanted)))
+    return Sighting(ids, uv[ids], pattern.grid)
 
 
 def _grid(grey: cv2.typing.MatLike, size: tuple[int, int], flags: int) -> Array | None:

@@ -12,7 +12,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.calibrate.board import Pattern
 from spheremouse.calibrate.camera.adjust import calibrate_board
 from spheremouse.calibrate.camera.bundle import View, resect_views
-from spheremouse.calibrate.camera.calibrate import rejection_reason
+from spheremouse.calibrate.camera.calibrate import rejection_reason, view_of
 from spheremouse.calibrate.camera.corners import MAX_SEARCHED_PX, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, Coverage, coverage, enough, gain, missing
 from spheremouse.calibrate.photographing.selector import Selector
@@ -72,13 +72,13 @@ class BoardSelector(Selector[Sighting]):
 
     def gain(self, seen: Sighting) -> tuple[str, str]:
         """Return the regions and tilts that a view adds, or an empty text and the reason for none."""
-        R, _, _ = resect_views([self._view(seen)], self._camera)
+        R, _, _ = resect_views([view_of(seen, self.pattern)], self._camera)
         new = gain(self.coverage, self.size, seen.uv, R[0], self._corners)
         return new or "", "such a view is there already"
 
     def add(self, seen: Sighting) -> None:
         """Count a view, and calibrate the camera for the next ones."""
-        self._views.append(self._view(seen))
+        self._views.append(view_of(seen, self.pattern))
         self._corners.append(seen.uv)
         if len(self._views) >= _MIN_VIEWS:
             try:
@@ -106,6 +106,3 @@ class BoardSelector(Selector[Sighting]):
         whole = (n + 1) * (m + 1) / ((n - 1) * (m - 1))
         inside = float(cv2.contourArea(cv2.convexHull(seen.uv.astype(np.float32))))
         return min(whole * inside / (self.size[0] * self.size[1]), 1.0)
-
-    def _view(self, seen: Sighting) -> View:
-        return View(self.pattern.corners()[seen.ids], seen.uv)
