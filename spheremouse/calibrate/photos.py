@@ -7,7 +7,7 @@ photo when it is needed; none stays in memory.
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -52,7 +52,7 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
     if not paths:
         raise CalibrationError("no photos; name photos or a folder with photos")
     photos, problems = [], []
-    for path in _with_folders_expanded(paths):
+    for path in [file for given in paths for file in (_in_folder(given) if given.is_dir() else [given])]:
         try:
             photos.append(_read(path))
         except CalibrationError as e:
@@ -118,17 +118,6 @@ def provenance(
 
 
 # ---- which files ----
-
-
-def _with_folders_expanded(paths: Iterable[Path]) -> list[Path]:
-    """Return the files, with the photos of each folder in its place."""
-    found: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            found += _in_folder(path)
-        else:
-            found.append(path)
-    return found
 
 
 def _in_folder(folder: Path) -> list[Path]:

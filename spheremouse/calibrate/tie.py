@@ -74,7 +74,7 @@ def _tie(first: AttitudeTrack, second: AttitudeTrack) -> Tie:
             f"roll it in view of both for {_MIN_SECONDS:g} s or more; recordings must be of one run, by one clock",
         )
     C = _first_rotation(stamp, R, S)
-    D = _mean_rotation(np.swapaxes(S, 1, 2) @ C.T @ R)
+    D = align(np.eye(3), np.sum(np.swapaxes(S, 1, 2) @ C.T @ R, axis=0).T)  # the nearest rotation to the sum
     lag, inverse, size = 0.0, np.zeros((7, 7)), np.zeros(len(stamp))
     for _ in range(_ITERATIONS):
         deviation = log(R @ np.swapaxes(C @ S @ D, 1, 2)) - lag * rate
@@ -110,11 +110,6 @@ def tied(rig: Rig, tie: Tie) -> Rig:
         return turned
     by_tie = np.concatenate([-hat(pose.position), np.eye(3)])
     return replace(turned, pose=replace(pose, covariance=pose.covariance + by_tie @ tie.covariance @ by_tie.T))
-
-
-def _mean_rotation(rotations: Array) -> Array:
-    """Return the mean, (3, 3), of rotations (n, 3, 3): the nearest one to their sum."""
-    return align(np.eye(3), np.sum(rotations, axis=0).T)
 
 
 def _at(track: AttitudeTrack, stamps: Array) -> tuple[Array, Array, NDArray[np.intp]]:

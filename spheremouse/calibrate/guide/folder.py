@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -103,18 +103,15 @@ def read_photo_folder(folder: Path, camera_path: Path | None = None) -> Photos:
 
 def read_camera(folder: Path) -> Result | None:
     """Read the camera file; None if there is none."""
-    return _result(folder / CAMERA_FILE, load_camera, lambda camera: camera)
+    return _result(folder / CAMERA_FILE, load_camera)
 
 
 def read_rig(folder: Path) -> Result | None:
     """Read the rig file; None if there is none."""
-    return _result(folder / RIG_FILE, load_rig, lambda rig: rig.camera)
+    return _result(folder / RIG_FILE, load_rig)
 
 
-T = TypeVar("T", InteriorOrientation, Rig)
-
-
-def _result(path: Path, load: Callable[[Path], T], camera_of: Callable[[T], InteriorOrientation]) -> Result | None:
+def _result(path: Path, load: Callable[[Path], InteriorOrientation | Rig]) -> Result | None:
     """Return a calibration's file with its content in words, or with its problem; None if it is missing."""
     if not path.exists():
         return None
@@ -122,11 +119,12 @@ def _result(path: Path, load: Callable[[Path], T], camera_of: Callable[[T], Inte
         content = load(path)
     except ConfigurationError as e:
         return Result(path, "cannot be used", tuple(str(e).splitlines()))
-    camera = camera_of(content)
-    words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
     if isinstance(content, Rig):
+        camera = content.camera
         size = "scale free" if content.scale_free else f"ball of {content.ball.radius:.3f} m radius"
         words = f"{size}, {count(len(content.targets.ids), 'target')}"
+    else:
+        camera, words = content, f"{content.width}x{content.height}, focal length {content.fx:.1f} px"
     data = read_document(path).data
     source = data.get("provenance") if isinstance(data, dict) else None
     return Result(path, words, (), source if isinstance(source, dict) else {}, (camera.width, camera.height))
