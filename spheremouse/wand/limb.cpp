@@ -1,4 +1,4 @@
-// Edges of the picture across the ball's predicted outline, and their likelihood. `limb.py` has the reasons.
+// Edges of the picture across the ball's predicted outline, and their likelihood. `likelihood.py` has the reasons.
 #include "spheremouse/wand/kernels.h"
 
 namespace spheremouse::wand {

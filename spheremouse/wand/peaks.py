@@ -6,14 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields, PictureColours, Region, colour_fields, reduction_factor
-from spheremouse.wand.likelihood import log_likelihood, support
+from spheremouse.wand.likelihood import (
+    DIRECTIONS,
+    Peak,
+    log_likelihood,
+    measure_edges,
+    outline_log_likelihood,
+    refine_pose,
+    support,
+)
 from spheremouse.wand.model import Model
 from spheremouse.wand.motions import search_region
 from spheremouse.wand.particles import MotionMixture, PeakMixture
-from spheremouse.wand.refine import Peak, refine_pose
 from spheremouse.wand.rims import Image
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.start import distinct_poses, evidence_without_prior, find_spots, pose_hypotheses
@@ -157,7 +163,7 @@ def _visible_parts(peak: Peak, modes: Modes, context: SearchContext) -> tuple[in
         modes.fields,
     )  # fmt: skip
     first, factor = np.zeros(1, dtype=np.int64), modes.fields.factor
-    outline = limb.log_likelihood(peak.position[None], first, peak.edges[None], context.model, factor)
+    outline = outline_log_likelihood(peak.position[None], first, peak.edges[None], context.model, factor)
     return discs, bare, float(outline[0])
 
 
@@ -168,7 +174,7 @@ def _weigh(peaks: list[Peak], m: Model, fields: Fields) -> Modes:
     rotation = np.array([k.rotation for k in peaks])
     value, match = log_likelihood(position, rotation, m, fields)
     supports = support(value, position, rotation, m, fields)
-    outline = limb.log_likelihood(position, np.arange(len(peaks)), edges, m, fields.factor)
+    outline = outline_log_likelihood(position, np.arange(len(peaks)), edges, m, fields.factor)
     return Modes(tuple(peaks), value + outline, match, supports, fields)
 
 
@@ -196,7 +202,7 @@ def refine_modes(
     if near and support(first[best], position[best], rotation[best], m, fields) > _SUFFICIENT_SUPPORT:
         count, rounds = 1, _MAX_ROUNDS_NEAR
     starts = order[distinct_poses(position[order], rotation[order], 0.5 * radius, count)]
-    none = np.zeros((limb.DIRECTIONS, 5))
+    none = np.zeros((DIRECTIONS, 5))
     peaks = [refine_pose(position[i], rotation[i], m, fields, none, rounds) for i in starts]
     if len(peaks) > _MAX_PEAKS:  # further rounds for the promising ones only
         value = _weigh(peaks, m, fields).log_likelihood
@@ -228,7 +234,7 @@ def _in_view(peak: Peak, context: SearchContext) -> bool:
 def _refine_with_outline(peak: Peak, context: SearchContext, fields: Fields) -> Peak:
     m, discs = context.model, context.tracker.discs[context.index]
     p, R = peak.position, peak.rotation
-    edges = limb.measure_edges(context.scene.image, p, R, discs, m, fields.factor)
+    edges = measure_edges(context.scene.image, p, R, discs, m, fields.factor)
     return _converge(refine_pose(p, R, m, fields, edges, _MAX_ROUNDS_NEAR), m, fields)
 
 

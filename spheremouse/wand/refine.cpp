@@ -1,4 +1,4 @@
-// Refinement of a pose to a peak of the likelihood by Gauss-Newton steps, with its curvature. `refine.py` has the
+// Refinement of a pose to a peak of the likelihood by Gauss-Newton steps, with its curvature. `likelihood.py` has the
 // terms.
 #include "spheremouse/wand/kernels.h"
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Event, Frame, Status, Step
-from spheremouse.wand import limb
 from spheremouse.wand.colour import Fields, picture_colours
 from spheremouse.wand.estimate import estimate, measured_pose
 from spheremouse.wand.events import (
@@ -23,7 +22,7 @@ from spheremouse.wand.events import (
     second_ball_unconfirmed,
     update_second_ball,
 )
-from spheremouse.wand.likelihood import disc_weights, log_likelihood
+from spheremouse.wand.likelihood import Peak, disc_weights, log_likelihood, outline_log_likelihood
 from spheremouse.wand.model import Model
 from spheremouse.wand.motions import (
     limit_covariance,
@@ -63,7 +62,6 @@ from spheremouse.wand.peaks import (
     search_picture,
 )
 from spheremouse.wand.pose_velocity import GATE, initialise, pose_difference, predict, update
-from spheremouse.wand.refine import Peak
 from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
 
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
@@ -265,7 +263,7 @@ def _log_likelihoods(
     f = modes.fields.factor
     fixed = disc_weights(modes.position, modes.rotation, m, f), weighted_as
     value, _ = log_likelihood(position, rotation, m, modes.fields, fixed_weights=fixed)
-    return value + limb.log_likelihood(position, nearest, np.array([k.edges for k in modes.peaks]), m, f)
+    return value + outline_log_likelihood(position, nearest, np.array([k.edges for k in modes.peaks]), m, f)
 
 
 def _weighted_as(particles: Particles, peaks: PeakMixture, nearest: NDArray[np.int64]) -> NDArray[np.int64]:

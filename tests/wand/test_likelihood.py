@@ -10,18 +10,24 @@ from spheremouse.geometry.camera import InteriorOrientation, project, project_sp
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, colour_fields
-from spheremouse.wand.likelihood import disc_weights, log_likelihood, support
+from spheremouse.wand.likelihood import (
+    DIRECTIONS,
+    disc_weights,
+    log_likelihood,
+    measure_edges,
+    outline_log_likelihood,
+    refine_pose,
+    support,
+)
 from spheremouse.wand.model import ball_model
 from spheremouse.wand.published.track import log_product
-from spheremouse.wand.refine import refine_pose
 from tests.wand import twins
 
 BALL = grzonka_ball()
 DISCS = np.array([[*d.direction, d.angle] for d in BALL.discs])
-NONE = np.zeros((limb.DIRECTIONS, 5))
+NONE = np.zeros((DIRECTIONS, 5))
 
 
 @pytest.fixture(scope="module")
@@ -70,16 +76,16 @@ def test_the_true_pose_has_the_greatest_likelihood(view):
 def test_refinement_finds_the_peak_and_its_curvature(view, outlined):
     """The mean loss of log-likelihood over samples of the peak's Gaussian is 6 / 2."""
     seen, m, p, R, image = view
-    edges = limb.measure_edges(image, p, R, DISCS, m, seen.factor) if outlined else NONE
+    edges = measure_edges(image, p, R, DISCS, m, seen.factor) if outlined else NONE
 
     def total(position, rotation):
         position = np.atleast_2d(position)
-        outline = limb.log_likelihood(position, np.zeros(len(position), np.int64), edges[None], m, seen.factor)
+        outline = outline_log_likelihood(position, np.zeros(len(position), np.int64), edges[None], m, seen.factor)
         return values(view, position, rotation)[0] + outline
 
     rng = np.random.default_rng(1)
     start = p + np.array([0.002, -0.002, 0.03])
-    peak = refine_pose(start, exp(np.array([0.08, -0.06, 0.05])) @ R, m, seen, edges)
+    peak = refine_pose(start, exp(np.array([0.08, -0.06, 0.05])) @ R, m, seen, edges, 8)
     peak = refine_pose(peak.position, peak.rotation, m, seen, edges, 3)
     assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(2.5)
     assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.02 if outlined else 0.05])
@@ -103,7 +109,7 @@ def test_outline_equals_that_of_the_projected_sphere():
 def test_measured_edges_lie_on_the_true_outline(view, factor):
     """The predicted ball is 3 % too close."""
     _, m, p, R, image = view
-    found = limb.measure_edges(image, 0.97 * p, R, DISCS, m, factor)
+    found = measure_edges(image, 0.97 * p, R, DISCS, m, factor)
     good = found[:, 4] > 0
     assert good.sum() >= 8
     camera = InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:])
@@ -126,7 +132,7 @@ def test_an_edge_is_where_a_pixel_has_half_the_light(view, inside, outside):
     on_ball = (x * p[0] + y * p[1] + p[2]) ** 2 > (x**2 + y**2 + 1.0) * (p @ p - BALL.radius**2)
     share = cv2.GaussianBlur(on_ball.reshape(image.shape[0], 10, image.shape[1], 10).mean(axis=(1, 3)), (0, 0), 0.7)
     grey = np.rint(255.0 * (outside + (inside - outside) * share) ** (1.0 / 2.2)).astype(np.uint8)
-    found = limb.measure_edges(cv2.merge([grey] * 3), p, R, DISCS, m, 1)
+    found = measure_edges(cv2.merge([grey] * 3), p, R, DISCS, m, 1)
     at = project(p + twins.outline(p, BALL.radius), InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0]
     r = np.sum((found[:, :2] - at) * found[:, 2:4], axis=1)[found[:, 4] > 0]
     assert len(r) > 8
@@ -283,10 +289,10 @@ def test_likelihood_with_the_weights_of_a_peak_equals_its_twin(view):
 
 def test_likelihood_of_the_outline_equals_its_twin(view):
     _, m, p, R, image = view
-    edges = np.stack([limb.measure_edges(image, 0.97 * p, R, DISCS, m, 1), NONE])
+    edges = np.stack([measure_edges(image, 0.97 * p, R, DISCS, m, 1), NONE])
     position, _ = poses(p, R, 40, 1.0)
     which = np.arange(40) % 2
-    value = limb.log_likelihood(position, which, edges, m, 2)
+    value = outline_log_likelihood(position, which, edges, m, 2)
     expected = [twins.outline_log_likelihood(c, edges[k], m, 2) for c, k in zip(position, which, strict=True)]
     np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-12)
 
@@ -294,7 +300,7 @@ def test_likelihood_of_the_outline_equals_its_twin(view):
 def test_refinement_equals_its_twin(view):
     """One step. Residuals of single precision, 1e-6, over a step of half a pixel give derivatives to 1e-4."""
     seen, m, p, R, image = view
-    for edges in (NONE, limb.measure_edges(image, p, R, DISCS, m, 1)):
+    for edges in (NONE, measure_edges(image, p, R, DISCS, m, 1)):
         for c, S in zip(*poses(p, R, 8, 0.3), strict=True):
             peak = refine_pose(c, S, m, seen, edges, 1)
             position, rotation = twins.refine_once(c, S, m, seen, edges)
@@ -310,5 +316,5 @@ def test_measured_edges_equal_their_twin(view, factor):
     position, rotation = poses(p, R, 12, 0.5)
     position[0, 0] += 0.5
     for c, S in zip(position, rotation, strict=True):
-        got, expected = (f(image, c, S, DISCS, m, factor) for f in (limb.measure_edges, twins.measure_edges))
+        got, expected = (f(image, c, S, DISCS, m, factor) for f in (measure_edges, twins.measure_edges))
         np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
