@@ -121,9 +121,13 @@ def colour_fields(
 
 
 def _bounds(colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float) -> NDArray[np.float32]:
-    """Return the bounds of each colour, (c, 6), in a picture of a mean brightness."""
+    """Return the bounds of hue, saturation and brightness of each colour, (c, 6), in a picture of a mean brightness."""
     gain = MEAN_BRIGHTNESS / max(mean, 1.0)
-    return np.array([_bounds_row(colours[name], gain) for name in names], dtype=np.float32)
+    rows = []
+    for c in [colours[name] for name in names]:
+        saturation = c.saturation_min / 255.0, c.saturation_max / 255.0
+        rows.append((c.hue_min, c.hue_max, *saturation, min(c.value_min / gain, OVEREXPOSED), c.value_max / gain))
+    return np.array(rows, dtype=np.float32)
 
 
 def _binary_pictures(
@@ -160,15 +164,3 @@ def _glare(
 def reduction_factor(diameter: float) -> int:
     """Return the factor by which to reduce the picture of a ball of this diameter, px."""
     return max(int(diameter / _MAX_DIAMETER), 1)
-
-
-def _bounds_row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
-    """Return the bounds of hue, saturation and brightness for one picture's own pixels."""
-    return (
-        colour.hue_min,
-        colour.hue_max,
-        colour.saturation_min / 255.0,
-        colour.saturation_max / 255.0,
-        min(colour.value_min / gain, OVEREXPOSED),
-        colour.value_max / gain,
-    )

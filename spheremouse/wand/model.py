@@ -43,11 +43,17 @@ class Model:
 
 def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
     """Return the points of a ball. `names` are the colours of the fields."""
-    rows = []
+    table, colour = [], []
+
+    def add(u: Array, along: Array, inside: float, angle: float, c: int, solid_angle: float = 0.0) -> None:
+        table.append([*u, *along, inside, 2.0 * angle - inside, 1.0 / np.tan(angle), solid_angle])
+        colour.append(c)
+
     for disc in ball.discs:
         c = names.index(disc.colour)
         basis = tangent_basis(disc.direction)
-        rows.append((disc.direction, basis[:, 0], disc.angle, disc.angle, c))  # the centre comes first
+        of_each = np.pi * disc.angle**2 / (5 + _RIM_POINTS)
+        add(disc.direction, basis[:, 0], disc.angle, disc.angle, c, of_each)  # the centre comes first
         rings = (
             (4, disc.points_angle, disc.angle - disc.points_angle),
             (_RIM_POINTS, disc.angle, 0.0),
@@ -58,19 +64,13 @@ def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
                 out = basis @ np.array([np.cos(phi), np.sin(phi)])
                 along = basis @ np.array([-np.sin(phi), np.cos(phi)])
                 u = np.cos(away) * disc.direction + np.sin(away) * out
-                if inside < 0.0 and _within(u, ball, _OUTER_DISTANCE / 2, disc.colour):
-                    continue
-                rows.append((u, along, inside, disc.angle, c))
+                if inside >= 0.0 or not _within(u, ball, _OUTER_DISTANCE / 2, disc.colour):
+                    add(u, along, inside, disc.angle, c)
     for u in _spiral(_BARE_CANDIDATES):
         if not _within(u, ball, 1.5 * _OUTER_DISTANCE, colour=None):
-            rows.append((u, tangent_basis(u)[:, 0], -1.0, 1.0, -1))
-    table, last = [], None
-    for u, t, inside, angle, c in rows:
-        first = inside == angle or (c < 0 and last != c)
-        last = c
-        solid_angle = _solid_angle(angle, c) if first else 0.0
-        table.append([*u, *t, inside, 2.0 * angle - inside, 1.0 / np.tan(angle), solid_angle])
-    return Points(np.array(table), np.array([row[4] for row in rows], dtype=np.int64))
+            of_each = 0.0 if -1 in colour else 4.0 * np.pi / _BARE_CANDIDATES
+            add(u, tangent_basis(u)[:, 0], -1.0, 1.0, -1, of_each)
+    return Points(np.array(table), np.array(colour, dtype=np.int64))
 
 
 def ball_model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | None = None) -> Model:
@@ -78,11 +78,6 @@ def ball_model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ..
     return Model(
         ball_points(ball, names or ball.colours), ball.radius, np.concatenate([camera.intrinsic, camera.distortion])
     )
-
-
-def _solid_angle(angle: float, colour: int) -> float:
-    """Return the solid angle of one point, sr."""
-    return 4.0 * np.pi / _BARE_CANDIDATES if colour < 0 else np.pi * angle**2 / (5 + _RIM_POINTS)
 
 
 def _spiral(n: int) -> Array:

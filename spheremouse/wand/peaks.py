@@ -276,7 +276,7 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
     guess = pose_hypotheses(find_spots(fields), ball, tracker.camera, tracker.names, tracker.settings, first_spot)
     across = 2.0 * tracker.camera.fx * ball.radius / np.maximum(guess.position[:, 2], ball.radius)
     coarse = np.maximum(np.rint(across / _COARSE_DIAMETER), fields.factor).astype(int)
-    position, rotation = [], []
+    position, rotation = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
     for factor in np.unique(coarse):
         group = coarse == factor
         if factor == fields.factor:
@@ -288,8 +288,6 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
         modes = refine_modes(guess.position[group], guess.rotation[group], group_count, context, reduced, outline=False)
         position.append(modes.position)
         rotation.append(modes.rotation)
-    if not position:
-        return Modes((), np.zeros(0), np.zeros(0), np.zeros(0), fields, guess.next_spot)
     modes = refine_modes(np.concatenate(position), np.concatenate(rotation), count, context, fields)
     if modes.peaks:
         factor = reduction_factor(2.0 * tracker.camera.fx * ball.radius / modes.peaks[0].position[2])
@@ -322,9 +320,8 @@ def merge_modes(a: Modes, b: Modes, radius: float) -> Modes:
     best, rest = (a, b) if a.log_likelihood[0] >= b.log_likelihood[0] - 1.0 else (b, a)
     if best.fields is not rest.fields:
         return best
-    position, rotation = (np.concatenate([getattr(k, name) for k in (best, rest)]) for name in ("position", "rotation"))
     value, match, support = (
         np.concatenate([getattr(k, name) for k in (best, rest)]) for name in ("log_likelihood", "match", "support")
     )
     both = Modes((*best.peaks, *rest.peaks), value, match, support, best.fields)
-    return both.select(distinct_poses(position, rotation, radius, _MAX_PEAKS, kept=len(best.peaks)))
+    return both.select(distinct_poses(both.position, both.rotation, radius, _MAX_PEAKS, kept=len(best.peaks)))
