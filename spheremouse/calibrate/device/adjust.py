@@ -256,21 +256,17 @@ def _covariance_about_ball(result: BundleResult, n: int, unit: float, in_radii: 
     """Joint covariance of `DeviceCalibration`, of [n targets, radius, poses, discs], lengths over `unit`."""
     sphere, columns = result.sphere, result.solution.columns
     k, m = len(result.solution.block.poses), len(result.solution.block.points) - n
-    rows: list[tuple[NDArray[np.intp], bool]] = [(columns.point(i), True) for i in range(n)]
-    rows.append((np.array([columns.all + 3]), False))
-    for i in range(k):
-        rows += [(columns.pose(i)[:3], True), (columns.pose(i)[3:], False)]
-    rows += [(columns.point(n + i), True) for i in range(m)]
-    J = np.zeros((3 * n + 1 + 6 * k + 3 * m, columns.all + 4))
-    at = 0
-    for which, from_centre in rows:
-        J[at + np.arange(len(which)), which] = 1.0
-        if from_centre:
-            J[at + np.arange(3), columns.all + np.arange(3)] = -1.0
-        at += len(which)
+    points = columns.point(np.arange(n + m))
+    of_row = np.concatenate(
+        [points[:n].ravel(), [columns.all + 3], columns.pose(np.arange(k)).ravel(), points[n:].ravel()]
+    )
+    J = np.zeros((len(of_row), columns.all + 4))
+    J[np.arange(len(J)), of_row] = 1.0
+    turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
+    lengths = np.setdiff1d(np.arange(len(J)), turns)
+    places = lengths[lengths != 3 * n]  # all but the radius: they count from the centre
+    J[places, columns.all + np.arange(len(places)) % 3] = -1.0
     if in_radii:  # y = x / R
-        turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
-        lengths = np.setdiff1d(np.arange(len(J)), turns)
         y = J[lengths] @ np.concatenate([sphere.observations, sphere.centre, [sphere.radius]])
         J[lengths] /= unit
         J[lengths, columns.all + 3] -= y / unit**2

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
@@ -52,9 +51,9 @@ def calibrate_device(
     photos: Sequence[Callable[[], Image]],
     device: Device,
     camera: InteriorOrientation,
-    rings: RingSettings | None = None,
-    discs: DiscSettings | None = None,
-    names: Sequence[str] | None = None,
+    rings: RingSettings,
+    discs: DiscSettings,
+    names: Sequence[str],
     progress: Progress = lambda what, part: None,
 ) -> DeviceCalibration:
     """Calibrate a device from photos (h, w, 3) BGR of `camera`; each is read once.
@@ -62,8 +61,6 @@ def calibrate_device(
     `names` of the photos are for messages. Photos with fewer than three targets, or of another device, are left out and
     named. Raises CalibrationError if too little remains, DistanceError if a tape distance contradicts the photos.
     """
-    rings, discs = rings or RingSettings(), discs or DiscSettings()
-    named = [f"photo {k + 1}" for k in range(len(photos))] if names is None else names
     seen, grey = [], []
     for k, read in enumerate(photos):
         progress("looking for targets", 0.4 * k / len(photos))
@@ -71,7 +68,7 @@ def calibrate_device(
         seen.append(detect_targets(image, device.target_radii, rings))
         grey.append(projected(image, discs.projection or GREY))
     views = target_views(seen, device, camera, TARGET_SIGMA)
-    block, views = first_block(views, device, camera, named)
+    block, views = first_block(views, device, camera, names)
     progress("looking for the ball", 0.45)
     detections = [(grey[k], seen[k]) for k in views.photos]
     tolerance = _ray_tolerance(views, block, device, camera)
@@ -114,16 +111,17 @@ def _first_discs(
 ) -> DiscViews:
     """Dark spots on one ball with disc numbers; CalibrationError without a ball."""
     found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2]) for grey, seen in photos]
-    spots = Spots(
-        np.repeat(np.arange(len(found)), [len(f) for f in found]),
-        np.concatenate([f.centre for f in found]),
-        np.concatenate([f.area for f in found]),
-    )
+    spots = _spots_of(found)
     if not has_wide_rays(block.poses, block.points):
         raise CalibrationError("the photos are from places too close together: move further to the sides")
     K, R = find_ball(spots, block.poses, block.camera, device.disc_radius, tolerance)
     covariance = np.broadcast_to(_SPOT_SIGMA**2 * np.eye(2), (len(spots), 2, 2))
-    return _numbered_points(spots.photo, spots.centre, covariance, block, K, R, device.disc_radius)
+    return _numbered_points(spots, covariance, block, K, R, device.disc_radius)
+
+
+def _spots_of(photos: Sequence[Detections]) -> Spots:
+    photo = np.repeat(np.arange(len(photos)), [len(found) for found in photos])
+    return Spots(photo, np.concatenate([f.centre for f in photos]), np.concatenate([f.area for f in photos]))
 
 
 def _measured_discs(
@@ -139,18 +137,14 @@ def _measured_discs(
     seen = [
         disc_detector(settings, rig, pose).detect(grey) for (grey, _), pose in zip(photos, block.poses, strict=True)
     ]
-    photo = np.repeat(np.arange(len(seen)), [len(d) for d in seen])
-    centre, covariance = np.concatenate([d.centre for d in seen]), np.concatenate([d.covariance for d in seen])
-    spots = Spots(photo, centre, np.concatenate([d.area for d in seen]))
-    return spots, _numbered_points(photo, centre, covariance, block, K, R, 0.5 * device.disc_radius)
+    spots, covariance = _spots_of(seen), np.concatenate([d.covariance for d in seen])
+    return spots, _numbered_points(spots, covariance, block, K, R, 0.5 * device.disc_radius)
 
 
-def _numbered_points(
-    photo: NDArray[np.intp], centre: Array, covariance: Array, block: Block, K: Array, R: float, tolerance: float
-) -> DiscViews:
+def _numbered_points(spots: Spots, covariance: Array, block: Block, K: Array, R: float, tolerance: float) -> DiscViews:
     """Spots on the ball that two photos or more show, at most `tolerance` m apart."""
-    directions, index = directions_on_ball(Spots(photo, centre, np.ones(len(photo))), block.poses, block.camera, K, R)
-    number = number_discs(photo[index], directions, tolerance / R)
+    directions, index = directions_on_ball(spots, block.poses, block.camera, K, R)
+    number = number_discs(spots.photo[index], directions, tolerance / R)
     if number.max(initial=-1) + 1 < MIN_POINTS:
         raise CalibrationError(
             f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {MIN_POINTS} are needed: "
@@ -160,7 +154,7 @@ def _numbered_points(
     index, directions, number = index[number >= 0], directions[number >= 0], number[number >= 0]
     middle = np.stack([np.bincount(number, directions[:, j]) for j in range(3)], axis=1)
     middle *= R / np.linalg.norm(middle, axis=1, keepdims=True)
-    return DiscViews(photo[index], number, centre[index], covariance[index], K + middle)
+    return DiscViews(spots.photo[index], number, spots.centre[index], covariance[index], K + middle)
 
 
 def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> float:

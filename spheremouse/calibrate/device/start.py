@@ -203,9 +203,7 @@ def _adjust(views: TargetViews, device: Device, camera: InteriorOrientation) -> 
         raise CalibrationError("the photos share too few targets: each must show three that another shows too")
     found = [p for p in poses if p is not None]
     block = _in_axes(Block(camera, tuple(found), points), device)
-    rough = ImagePoints(
-        image.photo, image.point, image.centre, np.broadcast_to(_CENTRE_SIGMA**2 * np.eye(2), (len(image), 2, 2)).copy()
-    )
+    rough = replace(image, covariance=np.tile(_CENTRE_SIGMA**2 * np.eye(2), (len(image), 1, 1)))
     sure = replace(camera, covariance=np.zeros((9, 9)))
     # the size of the rings gives a scale to begin with
     problem = Problem(replace(device, distances=()), sure, rough, scale_free=False, depth=views.depth)

@@ -15,7 +15,7 @@ from spheremouse.calibrate.device.advice import missing_sides
 from spheremouse.calibrate.device.bundle import Block
 from spheremouse.calibrate.device.calibrate import TARGET_SIGMA
 from spheremouse.calibrate.device.correspond import MIN_RAY_ANGLE
-from spheremouse.calibrate.device.start import first_block, target_views
+from spheremouse.calibrate.device.start import TargetViews, first_block, target_views
 from spheremouse.calibrate.photographing.selector import Selector
 from spheremouse.calibrate.photos import DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError
@@ -73,7 +73,10 @@ class DeviceSelector(Selector[TargetDetections]):
 
     def add(self, seen: TargetDetections) -> None:
         self._seen.append(seen)
-        self._block = self._placed(self._seen)
+        try:
+            self._block, _ = self._placed(self._seen)
+        except CalibrationError:
+            self._block = None
 
     def wanted(self) -> list[str]:
         return [f"take one {side}" for side in self._missing_sides()] or ["take more from places between"]
@@ -85,10 +88,11 @@ class DeviceSelector(Selector[TargetDetections]):
         if not self._seen:
             return "the first", ""
         try:
-            block = self._placed([*self._seen, seen], strict=True)
+            block, views = self._placed([*self._seen, seen])
         except CalibrationError as e:
             return "", str(e)
-        assert block is not None
+        if len(self._seen) not in views.photos:
+            return "", dict(views.skipped)[len(self._seen)]
         way = np.array([pose.position for pose in block.poses]) - block.points.mean(axis=0)
         distance = np.linalg.norm(way, axis=1)
         cosine = np.clip(way[:-1] @ way[-1] / (distance[:-1] * distance[-1]), -1.0, 1.0)
@@ -101,27 +105,14 @@ class DeviceSelector(Selector[TargetDetections]):
         least = np.degrees(MIN_RAY_ANGLE)
         return "", f"{np.degrees(angle.min()):.0f}° from a photo there is, {least:.0f}° are wanted: go further round"
 
-    def _placed(self, seen: Sequence[TargetDetections], strict: bool = False) -> Block | None:
-        """Find the places of all pictures, by targets that two of them show.
-
-        If `strict`, raises CalibrationError if the last picture has no place.
-        """
+    def _placed(self, seen: Sequence[TargetDetections]) -> tuple[Block, TargetViews]:
+        """Find the places of the pictures, by targets that two of them show; CalibrationError if there are too few."""
         repeated_codes = [c for c in self._device.codes if sum(c in found.codes for found in seen) >= 2]
-        if len(seen) < 2 or len(repeated_codes) < _MIN_TARGETS:
-            if strict:
-                raise CalibrationError("it shares too few targets with the photos there are: three must be in both")
-            return None
+        if len(repeated_codes) < _MIN_TARGETS:
+            raise CalibrationError("it shares too few targets with the photos there are: three must be in both")
         device = _only(self._device, repeated_codes)
-        try:
-            views = target_views(seen, device, self._camera, TARGET_SIGMA)
-            block, views = first_block(views, device, self._camera, [f"photo {k + 1}" for k in range(len(seen))])
-        except CalibrationError:
-            if strict:
-                raise
-            return None
-        if strict and len(seen) - 1 not in views.photos:
-            raise CalibrationError(dict(views.skipped)[len(seen) - 1])
-        return block
+        views = target_views(seen, device, self._camera, TARGET_SIGMA)
+        return first_block(views, device, self._camera, [f"photo {k + 1}" for k in range(len(seen))])
 
     def _missing_sides(self) -> list[str]:
         """Sides without a photo, as far as the axes are known."""

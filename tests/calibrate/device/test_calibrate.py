@@ -11,6 +11,8 @@ from experiments.kit.observations import calibrated, normalised_errors, simulate
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.device import DistanceError
 from spheremouse.calibrate.device import calibrate as calibrate_module
 from spheremouse.calibrate.device.bundle import ImagePoints
@@ -53,7 +55,8 @@ def found(stills):
 
 
 def calibrate(images, device, camera):
-    return calibrate_device([lambda im=im: im for im in images], device, camera)
+    photos, names = [lambda im=im: im for im in images], [f"photo {k + 1}" for k in range(len(images))]
+    return calibrate_device(photos, device, camera, RingSettings(), DiscSettings(), names)
 
 
 def test_targets_ball_and_discs_are_where_they_are(stills, found):
