@@ -223,39 +223,28 @@ def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes:
     by_turn = by_turn @ left_jacobian(turned)[image.photo]
     L = np.linalg.inv(np.linalg.cholesky(image.covariance))
     blocks = np.concatenate([by_interior, -by_point, by_turn, by_point], axis=2)
-    where = np.concatenate(
-        [
-            np.broadcast_to(np.arange(INTERIOR), (len(image), INTERIOR)),
-            columns.pose(image.photo),
-            columns.point(image.point),
-        ],
-        axis=1,
-    )
-    parts = [(np.einsum("nij,nj->ni", L, uv - image.centre).ravel(), *_rows(L @ blocks, where))]
+    interior = np.broadcast_to(np.arange(INTERIOR), (len(image), INTERIOR))
+    where = np.hstack([interior, columns.pose(image.photo), columns.point(image.point)])
+    parts = [(np.einsum("nij,nj->ni", L, uv - image.centre).ravel(), _rows(L @ blocks, where, columns))]
     parts.append(_distances(problem, block, columns))
     if problem.depth is not None:
         z, sigma = problem.depth.T
         axis = R[:, :, 2]
         turn = np.cross(axis, way)[:, None] @ left_jacobian(turned)[image.photo]
         towards = np.concatenate([-axis, turn[:, 0], axis], axis=1)
-        parts.append(((cam[:, 2] - z) / sigma, *_rows((towards / sigma[:, None])[:, None], where[:, INTERIOR:])))
+        J = _rows((towards / sigma[:, None])[:, None], where[:, INTERIOR:], columns)
+        parts.append(((cam[:, 2] - z) / sigma, J))
     if np.any(problem.camera.covariance):
-        parts.append(_prior(block.camera, problem.camera))
-    residual = np.concatenate([p[0] for p in parts])
-    offsets = np.cumsum([0, *(len(p[0]) for p in parts)])
-    rows = np.concatenate([p[1] + o for p, o in zip(parts, offsets, strict=False)])
-    J = sparse.csr_array(
-        (np.concatenate([p[3] for p in parts]), (rows, np.concatenate([p[2] for p in parts]))),
-        shape=(len(residual), columns.all),
-    )
-    return residual, sparse.csr_array(J[:, columns.free])
+        parts.append(_prior(block.camera, problem.camera, columns))
+    J = sparse.csr_array(sparse.vstack([J for _, J in parts]))
+    return np.concatenate([residual for residual, _ in parts]), sparse.csr_array(J[:, columns.free])
 
 
-def _rows(blocks: Array, where: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Row, column and value of Jacobian blocks, (n, k, c), with their columns, (n, c)."""
+def _rows(blocks: Array, where: NDArray[np.intp], columns: Columns) -> Jacobian:
+    """Return the Jacobian, (n k, all), of blocks (n, k, c) with their columns, (n, c)."""
     n, k, c = blocks.shape
-    row = np.broadcast_to(np.arange(n * k).reshape(n, k, 1), (n, k, c))
-    return row.ravel(), np.broadcast_to(where[:, None], (n, k, c)).ravel(), blocks.ravel()
+    row = np.repeat(np.arange(n * k), c)
+    return sparse.csr_array((blocks.ravel(), (row, np.repeat(where, k, axis=0).ravel())), shape=(n * k, columns.all))
 
 
 def distances(device: Device, points: Array) -> Array:
@@ -269,9 +258,7 @@ def _ways(device: Device, points: Array) -> Array:
     return points[ends[:, 1]] - points[ends[:, 0]]
 
 
-def _distances(
-    problem: Problem, block: Block, columns: Columns
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
+def _distances(problem: Problem, block: Block, columns: Columns) -> tuple[Array, Jacobian]:
     """Tape distances (Wittich 2017, eq. 90)."""
     device = problem.device
     length = distances(device, block.points)
@@ -280,16 +267,14 @@ def _distances(
     measured = np.array([d.metres for d in device.distances])
     where = columns.point(device.ends).reshape(-1, 6)
     J = np.concatenate([-along, along], axis=1)
-    return ((length - measured) / sigma, *_rows((J / sigma[:, None])[:, None], where))
+    return (length - measured) / sigma, _rows((J / sigma[:, None])[:, None], where, columns)
 
 
-def _prior(
-    camera: InteriorOrientation, prior: InteriorOrientation
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
+def _prior(camera: InteriorOrientation, prior: InteriorOrientation, columns: Columns) -> tuple[Array, Jacobian]:
     """The calibrated interior orientation as an observation."""
     known = np.flatnonzero(np.diag(prior.covariance))
     size = np.sqrt(np.diag(prior.covariance))[known]
     value, vector = np.linalg.eigh(prior.covariance[np.ix_(known, known)] / np.outer(size, size))
     whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T / size
     deviation = (interior_vector(camera) - interior_vector(prior))[known]
-    return (whiten @ deviation, *_rows(whiten[:, None], np.tile(known, (len(known), 1))))
+    return whiten @ deviation, _rows(whiten[:, None], np.tile(known, (len(known), 1)), columns)
