@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import block_diag
 
 from spheremouse.ball.device import Device, DistanceError
 from spheremouse.ball.disc_map import DiscMap
@@ -126,11 +127,8 @@ class DeviceCalibration:
 
         It has the discs' directions, and their joint covariance along `tangent_basis`.
         """
-        m, block, radii = len(self.discs), self.block("discs"), np.linalg.norm(self.discs, axis=1)
-        direction_by_position = np.swapaxes(tangent_basis(self.directions), 1, 2) / radii[:, None, None]  # (m, 2, 3)
-        J = np.zeros((2 * m, 3 * m))
-        for i in range(m):
-            J[2 * i : 2 * i + 2, 3 * i : 3 * i + 3] = direction_by_position[i]
+        block, radii = self.block("discs"), np.linalg.norm(self.discs, axis=1)
+        J = block_diag(*np.swapaxes(tangent_basis(self.directions), 1, 2) / radii[:, None, None])  # (2m, 3m)
         return DiscMap(self.directions, J @ self.covariance[block, block] @ J.T, self.sightings)
 
 

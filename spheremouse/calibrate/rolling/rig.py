@@ -305,14 +305,8 @@ def place_targets(
     X = (measured.position - radius * ratio * c) @ R.T
     n = len(X)
     # Jacobian of the targets in obj, by the targets in cam (3n), axes (3), direction (3), ratio and radius
-    J = np.zeros((3 * n, 3 * n + 3 + 5))
-    for k in range(n):
-        rows = slice(3 * k, 3 * k + 3)
-        J[rows, rows] = R
-        J[rows, 3 * n : 3 * n + 3] = -hat(X[k])
-        J[rows, 3 * n + 3 : 3 * n + 6] = -radius * ratio * R
-        J[rows, 3 * n + 6] = -radius * (R @ c)
-        J[rows, 3 * n + 7] = -ratio * (R @ c)
+    by_centre = np.column_stack([-radius * ratio * R, -radius * (R @ c), -ratio * (R @ c)])
+    J = np.hstack([np.kron(np.eye(n), R), -hat(X).reshape(-1, 3), np.tile(by_centre, (n, 1))])
     C = np.zeros((3 * n + 8, 3 * n + 8))
     C[: 3 * n + 3, : 3 * n + 3] = measured.covariance
     C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
