@@ -6,7 +6,6 @@ The setting `wand.method` chooses it with a likelihood: `product` of the thesis,
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
@@ -56,10 +55,14 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     `position` (n, 3) m and `rotation` (n, 3, 3) R_cam_ball are the poses.
     """
     inner = (model.points.colour >= 0) & (model.points.table[:, 6] > 0.0)
-    facing, u, v = _facing_and_pixel(position, rotation, model, inner)
+    normal = np.einsum("nij,pj->npi", rotation, model.points.table[inner, :3])
+    place = position[:, None] + model.radius * normal
+    visible = (place[..., 2] > 0.0) & (np.sum(normal * place, axis=2) < 0.0)
+    camera = InteriorOrientation(0, 0, *model.lens[:4], model.lens[4:])
+    u, v = np.moveaxis(project(place.reshape(-1, 3), camera)[0].reshape(*visible.shape, 2), -1, 0)
     x, y = (u - fields.left + 0.5) / fields.factor - 0.5, (v - fields.top + 0.5) / fields.factor - 0.5
     _, h, w = fields.weight.shape
-    inside = (facing > 0.0) & (x >= 0.0) & (y >= 0.0) & (x < w - 1) & (y < h - 1)
+    inside = visible & (x >= 0.0) & (y >= 0.0) & (x < w - 1) & (y < h - 1)
     x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
     j, i = x.astype(int), y.astype(int)
     a, b = x - j, y - i
@@ -67,28 +70,10 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     k = np.arange(len(field))
     high, low = ((1.0 - a) * field[k, row, j] + a * field[k, row, j + 1] for row in (i, i + 1))
     m = np.where(inside, ((1.0 - b) * high + b * low) / 255.0, 0.0)
-    return _mean_of_visible(np.log(np.maximum(m, _MIN_FACTOR)), facing > 0.0, np.log(_MIN_FACTOR), m)
-
-
-def _facing_and_pixel(
-    position: Array, rotation: Array, model: Model, chosen: NDArray[np.bool_]
-) -> tuple[Array, Array, Array]:
-    """Return the cosine of the viewing angle and the pixel of the chosen points, (n, p) each; -1 behind the camera."""
-    normal = np.einsum("nij,pj->npi", rotation, model.points.table[chosen, :3])
-    x = position[:, None] + model.radius * normal
-    facing = np.where(x[..., 2] > 0.0, -np.sum(normal * x, axis=2) / np.linalg.norm(x, axis=2), -1.0)
-    fx, fy, cx, cy = model.lens[:4]
-    camera = InteriorOrientation(0, 0, fx, fy, cx, cy, model.lens[4:])
-    uv = project(x.reshape(-1, 3), camera)[0].reshape(*x.shape[:-1], 2)
-    return facing, uv[..., 0], uv[..., 1]
-
-
-def _mean_of_visible(log_value: Array, visible: NDArray[np.bool_], empty: float, fit: Array) -> tuple[Array, Array]:
-    """Return 20 times the mean of the logarithm over the visible points, (n,), or that of `empty`, and the mean fit."""
     number = np.sum(visible, axis=1)
     divisor = np.maximum(number, 1)
-    mean = np.where(number > 0, np.sum(np.where(visible, log_value, 0.0), axis=1) / divisor, empty)
-    return _EFFECTIVE_POINTS * mean, np.sum(np.where(visible, fit, 0.0), axis=1) / divisor
+    total = np.sum(np.where(visible, np.log(np.maximum(m, _MIN_FACTOR)), 0.0), axis=1)
+    return _EFFECTIVE_POINTS * np.where(number > 0, total / divisor, np.log(_MIN_FACTOR)), np.sum(m, axis=1) / divisor
 
 
 _LIKELIHOODS = {"product": log_product, "rims": log_likelihood}
