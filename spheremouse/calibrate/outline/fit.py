@@ -42,9 +42,9 @@ class Outline:
         across = float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1])
         return across**0.5, float(self.covariance[2, 2]) ** 0.5
 
-    def pixels(self, camera: InteriorOrientation, points: int = 360) -> Array:
-        """Return points of the outline in the picture, (points, 2) px."""
-        return sphere_outline(self.centre, 1.0, camera, points)
+    def pixels(self, camera: InteriorOrientation) -> Array:
+        """Return points of the outline in the picture, (360, 2) px."""
+        return sphere_outline(self.centre, 1.0, camera, 360)
 
 
 def pinhole(size: tuple[int, int], vfov: float) -> InteriorOrientation:
