@@ -34,11 +34,11 @@ def places(n, rng, pattern=PATTERN, camera=CAMERA, tilt=(15.0, 45.0), margin=12.
     return np.array([R for R, _ in found]), np.array([t for _, t in found])
 
 
-def views(R, t, rng, sigma, pattern=PATTERN, camera=CAMERA):
-    corners = pattern.corners()
-    result = []
+def views(R, t, rng, sigma, true=None):
+    """Views of a board whose corners are where it was printed, or at their `true` places, (n, 3) m."""
+    corners, result = PATTERN.corners(), []
     for rotation, translation in zip(R, t, strict=True):
-        uv, _ = project(corners @ rotation.T + translation, camera)
+        uv, _ = project((corners if true is None else true) @ rotation.T + translation, CAMERA)
         result.append(View(corners, uv + rng.normal(0.0, sigma, uv.shape)))
     return result
 

@@ -26,10 +26,15 @@ def nine(camera):
     return np.concatenate([camera.intrinsic, camera.distortion])
 
 
+def scene(seed, n, **how):
+    """A generator of random numbers, and n places of the board by it."""
+    rng = np.random.default_rng(seed)
+    return rng, *places(n, rng, **how)
+
+
 def test_corners_lie_where_the_board_projects():
     """Refined in the board's plane they are nearer than `cornerSubPix` leaves them."""
-    rng = np.random.default_rng(1)
-    R, t = places(3, rng)
+    rng, R, t = scene(1, 3)
     before, after = [], []
     for k in range(3):
         image = picture(R[k], t[k], rng=rng, noise=1.5)
@@ -53,8 +58,7 @@ def test_corners_lie_where_the_board_projects():
 
 def test_a_faint_row_beside_the_board_is_not_a_part_of_it():
     """Infrared photographs of a 9x6 board have such rows, and OpenCV's search for the largest board takes them."""
-    rng = np.random.default_rng(3)
-    R, t = places(8, rng)
+    rng, R, t = scene(3, 8)
     added = 0
     for k in range(8):
         image, longer = (picture(R[k], t[k], pattern).astype(float) for pattern in (PATTERN, Pattern(9, 7, 0.03)))
@@ -70,8 +74,7 @@ def test_a_faint_row_beside_the_board_is_not_a_part_of_it():
 
 
 def test_another_count_is_no_board_and_is_told():
-    rng = np.random.default_rng(3)
-    R, t = places(1, rng, tilt=(10.0, 25.0))
+    _, R, t = scene(3, 1, tilt=(10.0, 25.0))
     image = picture(R[0], t[0])
     for columns, rows in ((8, 5), (10, 6), (5, 4), (10, 8)):
         seen = find_board(image, Pattern(columns, rows, 0.03))
@@ -80,8 +83,7 @@ def test_another_count_is_no_board_and_is_told():
 
 
 def test_rows_and_columns_may_be_exchanged():
-    rng = np.random.default_rng(4)
-    R, t = places(1, rng)
+    _, R, t = scene(4, 1)
     image = picture(R[0], t[0])
     along, across = find_board(image, PATTERN), find_board(image, Pattern(6, 9, 0.03))
     assert len(across.ids) == 54
@@ -92,8 +94,7 @@ def test_rows_and_columns_may_be_exchanged():
 
 
 def test_a_charuco_board_may_be_cut_off():
-    rng = np.random.default_rng(6)
-    R, t = places(1, rng, tilt=(10.0, 30.0))
+    _, R, t = scene(6, 1, tilt=(10.0, 30.0))
     image = picture(R[0], t[0], CHARUCO)
     truth, _ = project(CHARUCO.corners() @ R[0].T + t[0], CAMERA)
     whole = find_board(image, CHARUCO)
@@ -108,16 +109,14 @@ def test_a_charuco_board_may_be_cut_off():
 
 
 def test_another_charuco_board_has_no_corners():
-    rng = np.random.default_rng(7)
-    R, t = places(1, rng, tilt=(10.0, 30.0))
+    _, R, t = scene(7, 1, tilt=(10.0, 30.0))
     image = picture(R[0], t[0], CHARUCO)
     for other in (Pattern(8, 6, 0.03, 0.0225), Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100")):
         assert len(find_board(image, other).ids) == 0
 
 
 def test_jacobian_is_the_finite_difference():
-    rng = np.random.default_rng(8)
-    R, t = places(3, rng)
+    rng, R, t = scene(8, 3)
     bundle = bundle_module.Bundle(views(R, t, rng, 0.5), SIZE, np.ones(13, bool))
     shape = np.array([0.002, 0.005, -0.003, 0.004])
     x = np.concatenate([TRUTH, shape, np.stack([[log(r) for r in R], t], axis=1).ravel()])
@@ -155,8 +154,7 @@ def test_covariance_is_the_scatter_of_errors():
 
 @pytest.mark.parametrize("zoom", [1.1, 1.2, 1.6])
 def test_a_view_of_another_zoom_is_left_out(zoom):
-    rng = np.random.default_rng(11)
-    R, t = places(10, rng)
+    rng, R, t = scene(11, 10)
     given = views(R, t, rng, 0.08)
     middle = np.array([CAMERA.cx, CAMERA.cy])
     given[4] = View(given[4].points, (given[4].uv - middle) * zoom + middle)
@@ -167,8 +165,7 @@ def test_a_view_of_another_zoom_is_left_out(zoom):
 
 
 def test_a_false_corner_is_left_out():
-    rng = np.random.default_rng(12)
-    R, t = places(10, rng)
+    rng, R, t = scene(12, 10)
     given = views(R, t, rng, 0.08)
     given[3].uv[17] += (2.0, -1.0)
     found = calibrate_board(given, SIZE)
@@ -189,10 +186,7 @@ def test_a_board_need_not_be_flat_or_printed_true(bow, stretch):
         c, s = np.cos(angle), np.sin(angle)
         shape = np.array([stretch, *(bow * np.array([c * c, 2.0 * c * s, s * s]))])
         true = corners + plate.by_shape(corners) @ shape
-        given = []
-        for rotation, translation in zip(R, t, strict=True):
-            uv, _ = project(true @ rotation.T + translation, CAMERA)
-            given.append(View(corners, uv + rng.normal(0.0, 0.05, uv.shape)))
+        given = views(R, t, rng, 0.05, true)
         found = calibrate_board(given, SIZE)
         error = nine(found.camera) - TRUTH
         chi_squares.append(error @ np.linalg.solve(found.camera.covariance, error))
@@ -215,8 +209,7 @@ def test_errors_common_to_a_view_widen_the_covariance():
             along = rng.normal(size=2)
             bend = 2e-3 * (((corners - mean)[:, :2] @ along / np.linalg.norm(along)) / 0.12) ** 2  # m; as it is held
             bent = corners + np.array([0.0, 0.0, 1.0]) * bend[:, None]
-            uv, _ = project(bent @ rotation.T + translation, CAMERA)
-            given.append(View(corners, uv + rng.normal(0.0, 0.05, uv.shape)))
+            given += views(rotation[None], translation[None], rng, 0.05, bent)
         found = calibrate_board(given, SIZE)
         error = nine(found.camera) - TRUTH
         nees = error @ np.linalg.solve(found.camera.covariance, error) / 9.0
@@ -227,8 +220,7 @@ def test_errors_common_to_a_view_widen_the_covariance():
 
 
 def test_terms_that_are_held_stay_zero():
-    rng = np.random.default_rng(15)
-    R, t = places(8, rng)
+    rng, R, t = scene(15, 8)
     given = views(R, t, rng, 0.1)
     for terms in (0, 2, 4):
         found = calibrate_board(given, SIZE, terms)
@@ -238,15 +230,13 @@ def test_terms_that_are_held_stay_zero():
 
 
 def test_too_few_views_are_refused():
-    rng = np.random.default_rng(16)
-    R, t = places(2, rng)
+    rng, R, t = scene(16, 2)
     with pytest.raises(CalibrationError, match="2 views do not determine"):
         calibrate_board(views(R, t, rng, 0.1), SIZE)
 
 
 def test_parallel_views_leave_the_focal_length_open():
-    rng = np.random.default_rng(17)
-    R, t = places(6, rng, tilt=(0.0, 0.0))
+    rng, R, t = scene(17, 6, tilt=(0.0, 0.0))
     with pytest.raises(CalibrationError, match="leave the focal length open"):
         calibrate_board(views(R, t, rng, 0.1), SIZE)
 

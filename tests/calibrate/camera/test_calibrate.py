@@ -104,7 +104,8 @@ def test_the_report_is_whole_and_needs_nothing_beside_it(made):
     ],
 )
 def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
-    assert said in refused(folder, *words, "--out", tmp_path / "camera.yaml")
+    photos = [folder / f"view_{k}.png" for k in range(4)]
+    assert said in refused(*photos, *words, "--out", tmp_path / "camera.yaml")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -123,13 +124,11 @@ def test_without_photos_it_asks_for_them_first():
 
 def test_what_comes_next_is_there(made, folder):
     """Not a file that nobody has made; and more photos need --force."""
-    path, _ = made
-    said = run(
-        folder, *BOARD, "--report", path / "r.html", "--out", path / "camera.yaml", "--force"
-    ).output.splitlines()
+    path, result = made
+    said = result.output.splitlines()
     assert f"next: spheremouse calibrate init {path}" in said
     words = shlex.split(next(line for line in said if line.startswith("with more photos")).partition(": ")[2])
-    again = ["camera", str(folder), *BOARD, "--report", str(path / "r.html"), "--out", str(path / "camera.yaml")]
+    again = ["camera", str(folder), *BOARD, "--json", str(path / "camera.json"), "--out", str(path / "camera.yaml")]
     assert words == ["spheremouse", "calibrate", *again, "--force"]
 
 
