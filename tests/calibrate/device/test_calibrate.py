@@ -15,7 +15,6 @@ from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.device import DistanceError
 from spheremouse.calibrate.device import calibrate as calibrate_module
-from spheremouse.calibrate.device.bundle import ImagePoints
 from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
@@ -209,30 +208,22 @@ def test_two_photos_from_one_place_fix_no_depth(seed):
     """Discs that only these two show would run to infinity, and the adjustment would not come to rest."""
     rng = np.random.default_rng(seed)
     simulated = simulated_calibration(rng)
-    again = len(simulated.poses)
+    views, discs, start, again = simulated.views, simulated.discs, simulated.start, len(simulated.poses)
 
-    def repeated(photo, others, centre, covariance):
-        mine = photo == again - 1
-        noisy = centre[mine] + 0.05 * rng.standard_normal((np.count_nonzero(mine), 2))
-        return (
-            np.append(photo, np.full(np.count_nonzero(mine), again)),
-            np.append(others, others[mine]),
-            np.concatenate([centre, noisy]),
-            np.concatenate([covariance, covariance[mine]]),
-        )
+    def repeated(points, rows, *names):
+        """These image points, and those of the last photo once more, as a further photo sees them with other noise."""
+        mine = rows[points.photo[rows] == again - 1]
+        part = {name: getattr(points, name)[np.append(rows, mine)] for name in names}
+        part["photo"][len(rows) :] = again
+        part["centre"][len(rows) :] += 0.05 * rng.standard_normal((len(mine), 2))
+        return replace(points, **part)
 
-    views, discs, start = simulated.views, simulated.discs, simulated.start
-    image = views.image
-    mine = image.photo == again - 1
-    image = ImagePoints(*repeated(image.photo, image.point, image.centre, image.covariance))
-    views = replace(
-        views, photos=(*views.photos, again), image=image, depth=np.concatenate([views.depth, views.depth[mine]])
-    )
+    image = repeated(views.image, np.arange(len(views.image)), "photo", "point", "centre", "covariance")
+    depth = np.concatenate([views.depth, views.depth[views.image.photo == again - 1]])
+    views = replace(views, photos=(*views.photos, again), image=image, depth=depth)
     only_there = discs.disc[discs.photo == again - 1][:6]
-    kept = (discs.photo == again - 1) | ~np.isin(discs.disc, only_there)
-    parts = (discs.photo[kept], discs.disc[kept], discs.centre[kept], discs.covariance[kept])
-    photo, disc, centre, covariance = repeated(*parts)
-    discs = replace(discs, photo=photo, disc=disc, centre=centre, covariance=covariance)
+    kept = np.flatnonzero((discs.photo == again - 1) | ~np.isin(discs.disc, only_there))
+    discs = repeated(discs, kept, "photo", "disc", "centre", "covariance")
     simulated = replace(
         simulated,
         views=views,

@@ -87,12 +87,12 @@ def disturbed(truth, seed, by=0.01):
     )
 
 
-def place_error(found, truth):
-    """Direction along the true tangent plane, rad, and ratio, (3,), with the covariance, (3, 3)."""
+def place_nees(found, truth):
+    """Chi-square of the direction along the true tangent plane and of the ratio."""
     B = np.zeros((4, 3))
     B[:3, :2], B[3, 2] = tangent_basis(truth.direction), 1.0
     error = np.append(found.rolling.direction - truth.direction, found.rolling.ratio - truth.ratio) @ B
-    return error, B.T @ found.covariance @ B
+    return error @ np.linalg.solve(B.T @ found.covariance @ B, error)
 
 
 def test_the_jacobian_is_that_of_the_residuals():
@@ -128,8 +128,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     for seed in range(runs):
         truth, s = rolled(seed, frames=45, discs=24)
         found = adjust_rolling(s, disturbed(truth, seed), CAMERA)
-        error, C = place_error(found, truth)
-        nees += error @ np.linalg.solve(C, error)
+        nees += place_nees(found, truth)
         kept = np.flatnonzero(np.bincount(s.disc, minlength=24) >= 5)
         if len(kept) == len(found.rolling.discs):
             chi, k = map_nees(found, truth.discs[kept])
@@ -156,8 +155,7 @@ def test_a_rolling_shutter_is_found():
     truth, s = rolled(11, frames=240, discs=40, readout=0.02, fps=30.0)
     found = adjust_rolling(s, disturbed(truth, 11), CAMERA, 0.015)
     assert abs(found.rolling.readout - 0.02) < 2e-4
-    error, C = place_error(found, truth)
-    assert error @ np.linalg.solve(C, error) < chi2.ppf(0.999, 3)
+    assert place_nees(found, truth) < chi2.ppf(0.999, 3)
 
 
 def test_false_sightings_are_set_aside():
@@ -169,8 +167,7 @@ def test_false_sightings_are_set_aside():
     centre[bad] += (3.0 + 5.0 * rng.uniform(size=(bad.sum(), 1))) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     clean, found = (adjust_rolling(replace(s, centre=c), disturbed(truth, 7), CAMERA) for c in (s.centre, centre))
     assert 0.8 * bad.sum() <= found.rejected - clean.rejected < 1.5 * bad.sum()
-    error, C = place_error(found, truth)
-    assert error @ np.linalg.solve(C, error) < chi2.ppf(0.999, 3)
+    assert place_nees(found, truth) < chi2.ppf(0.999, 3)
 
 
 def test_errors_of_a_place_widen_the_covariance():
@@ -298,8 +295,8 @@ def test_a_gesture_without_a_turn_is_told():
 
 
 def test_targets_of_another_device_are_told():
-    rig, rolling = target_scene()
-    sightings = seen_targets(rig, rolling, np.random.default_rng(2))
+    rig, rolling, pose = target_scene()
+    sightings = seen_targets(rig, pose, np.random.default_rng(2))
     moved = rig.targets.position + np.array([[0, 0, 0], [0, 0.1, 0], [0, 0, 0], [0.1, 0, 0.0]])
     with pytest.raises(CalibrationError, match=r"px off where the rig|no camera position fits"):
         axes_from_targets(sightings, replace(rig, targets=replace(rig.targets, position=moved)), rolling)
@@ -315,10 +312,7 @@ def rolled_targets(seed, rig, **how):
     L = np.sqrt(np.diag(rig.camera.covariance))[:4] * rng.normal(size=4)
     camera = replace(rig.camera, fx=CAMERA.fx + L[0], fy=CAMERA.fy + L[1], cx=CAMERA.cx + L[2], cy=CAMERA.cy + L[3])
     pose = Pose(R_OBJ_CAM, -0.6 * truth.ratio * (R_OBJ_CAM @ truth.direction))
-    sightings = [
-        Sighting(code, p + rng.normal(0.0, 0.05, 2), 0.05**2 * np.eye(2), 30)
-        for code, p in zip(rig.targets.codes, predict_targets(pose, rig), strict=True)
-    ]
+    sightings = seen_targets(rig, pose, rng)
     C = rig.targets.covariance
     off = rng.multivariate_normal(np.zeros(len(C)), C, method="eigh").reshape(-1, 3)
     moved = replace(rig, camera=camera, targets=replace(rig.targets, position=rig.targets.position + off))
@@ -332,7 +326,7 @@ def rolled_targets(seed, rig, **how):
 )
 def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
     """Where direction, lens or targets are the weak part, too; and targets and radius are correlated as they say."""
-    scene, _ = target_scene()
+    scene, *_ = target_scene()
     camera = replace(CAMERA, covariance=np.diag([lens**2] * 4 + [0.0] * 5))
     scene = replace(scene, camera=camera, targets=replace(scene.targets, covariance=targets**2 * np.eye(12)))
     runs, axes_nees, nees, held, joint = 24, 0.0, 0.0, 0.0, 0.0
@@ -363,7 +357,7 @@ def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
 
 
 def test_targets_of_a_free_rig_take_a_length(tmp_path):
-    free, _ = target_scene()
+    free, *_ = target_scene()
     targets = replace(free.targets, covariance=1e-6 * np.eye(12))
     unit = Ball(1.0, covariance=np.diag([0.0, 0.0, 0.0, 1e-6]))
     ball = Ball(0.6, covariance=np.diag([0.0, 0.0, 0.0, 1.44e-6]))
@@ -376,30 +370,27 @@ def test_targets_of_a_free_rig_take_a_length(tmp_path):
 
 
 def target_scene():
-    """A rig with four targets, and a ball in front of its camera at 2.4 m."""
+    """A rig with four targets, a ball in front of its camera, and the pose of that at 2.4 m."""
     position = np.array([[-0.32, 0.15, 0.56], [-0.32, -0.6, 0.56], [0.33, -0.6, 0.52], [0.33, 0.15, 0.56]])
     targets = Targets((1, 2, 3, 4), CODES[:4], position, np.zeros((12, 12)), np.array([0.012, 0.024, 0.036]))
     c = np.array([0.02, -0.01, 1.0])
     c /= np.linalg.norm(c)
     rolling = Rolling(c, 4.0, directions(5, 0), np.zeros(1), np.eye(3)[None])
-    return Rig(CAMERA, Ball(1.0), targets, 0.02), rolling
+    return Rig(CAMERA, Ball(1.0), targets, 0.02), rolling, Pose(R_OBJ_CAM, -2.4 * (R_OBJ_CAM @ c))
 
 
-def seen_targets(rig, rolling, rng, sigma=0.05):
-    pose = Pose(R_OBJ_CAM, -2.4 * (R_OBJ_CAM @ rolling.direction))
-    uv = predict_targets(pose, rig)
+def seen_targets(rig, pose, rng):
     return [
-        Sighting(code, p + rng.normal(0.0, sigma, 2), sigma**2 * np.eye(2), 30)
-        for code, p in zip(rig.targets.codes, uv, strict=True)
+        Sighting(code, p + rng.normal(0.0, 0.05, 2), 0.05**2 * np.eye(2), 30)
+        for code, p in zip(rig.targets.codes, predict_targets(pose, rig), strict=True)
     ]
 
 
 @pytest.mark.slow
 def test_sizes_of_targets_give_axes_within_their_sigma():
-    rig, rolling = target_scene()
+    rig, _, pose = target_scene()
     rig = replace(rig, targets=replace(rig.targets, position=rig.targets.position * [1, 1, 0] + [0, 0, 0.56]))
     device = Device((1, 2, 3, 4), CODES[:4], rig.targets.radii, 0.02, Axes(2, 1, 3))
-    pose = Pose(R_OBJ_CAM, -2.4 * (R_OBJ_CAM @ rolling.direction))
     points = pose.to_cam(rig.targets.position)
     outer = project_circle(points, np.broadcast_to(pose.rotation[2], points.shape), 0.036)
     uv, shape = ellipse_to_pixel(*outer, CAMERA)
