@@ -80,15 +80,6 @@ def test_a_tiff_with_a_rotation_flag_is_refused_since_decoders_turn_it(tmp_path)
     refused([save(tmp_path / "a.tif", orientation=6)], "a.tif", "rotation flag", "JPEG")
 
 
-def test_a_photo_turned_by_software_is_told_from_the_others(tmp_path):
-    """Flag and pixels together: the flagged ones are all right, the one with swapped sides is not."""
-    for i in range(3):
-        save(tmp_path / f"{i}.jpg", i, orientation=6)
-    save(tmp_path / "t.jpg", 7, (H, W))
-    text = refused([tmp_path], "t.jpg: 64x96, and the others 96x64", "turned by software")
-    assert "0.jpg" not in text
-
-
 def test_a_folder_gives_its_photos_in_natural_order_and_nothing_else(tmp_path):
     for i, name in enumerate(["IMG_10.jpg", "IMG_2.JPG", "img_1.Jpeg", "b3.png"]):
         save(tmp_path / name, i)
@@ -111,12 +102,15 @@ def test_the_same_photo_twice_counts_once_and_is_named(tmp_path):
     assert len(read_photos([path, tmp_path / "a.jpg"], note=silent)) == 1  # the very file: nothing to say
 
 
-def test_the_minority_of_sizes_is_listed(tmp_path):
+@pytest.mark.parametrize(("size", "orientation"), [((48, 32), None), ((H, W), 6)])
+def test_the_minority_of_sizes_is_listed(tmp_path, size, orientation):
+    """Photos turned by software, too, beside flagged ones, which are all right."""
     for i in range(4):
-        save(tmp_path / f"a{i}.jpg", i)
+        save(tmp_path / f"a{i}.jpg", i, orientation=orientation)
     for i in range(2):
-        save(tmp_path / f"b{i}.jpg", i, (48, 32))
-    text = refused([tmp_path], "b0.jpg", "b1.jpg: 48x32, and the others 96x64", "another mode or zoom")
+        save(tmp_path / f"b{i}.jpg", i, size)
+    other = f"{size[0]}x{size[1]}"
+    text = refused([tmp_path], "b0.jpg", f"b1.jpg: {other}, and the others 96x64", "another mode or zoom, or turned by")
     assert "a0.jpg" not in text
 
 
@@ -173,11 +167,9 @@ def test_what_is_no_photo_is_told_with_what_to_do(tmp_path):
     good = save(tmp_path / "good.png")
     lines = refused([good, text, empty], "t.jpg", "e.jpg").splitlines()
     assert len(lines) == 2  # a line each, all at once
-
-
-def test_a_folder_without_photos_is_refused(tmp_path):
-    (tmp_path / "IMG_0.HEIC").write_bytes(b"x")
-    refused([tmp_path], str(tmp_path), "no photos in it", "convert others (HEIC) to JPEG")
+    (tmp_path / "phone").mkdir()
+    (tmp_path / "phone/IMG_0.HEIC").write_bytes(b"x")
+    refused([tmp_path / "phone"], f"{tmp_path}/phone: no photos in it", "convert others (HEIC) to JPEG")
 
 
 def test_a_file_that_changed_since_is_refused(tmp_path):
