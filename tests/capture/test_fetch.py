@@ -63,7 +63,7 @@ class Camera:
 
 
 class World:
-    """Cameras, one script for each time that one is opened; the last one stays."""
+    """Cameras, one script for each time that one is opened, or a function that opens it; the last one stays."""
 
     def __init__(self, *scripts):
         self.scripts, self.opened, self.closed, self.frames = list(scripts), 0, 0, []
@@ -75,7 +75,7 @@ class World:
         self.opened += 1
         if isinstance(script, BaseException):
             raise script
-        return Camera(script, self)
+        return script() if callable(script) else Camera(script, self)
 
     def capture(self, patience=PATIENCE):
         return Capture(self.open, self.latest, self.said.append, patience)
@@ -112,7 +112,7 @@ def test_frames_arrive_and_what_the_driver_lost_is_counted(start):
     assert world.latest.skipped == 5
 
 
-def test_a_stamp_ahead_of_the_clock_is_not_believed():
+def test_a_stamp_ahead_of_the_clock_is_not_believed(start):
     class Early(Camera):
         def next(self, timeout):
             raw = super().next(timeout)
@@ -120,27 +120,22 @@ def test_a_stamp_ahead_of_the_clock_is_not_believed():
                 raw.stamp += 1000.0
             return raw
 
-    world = World()
-    capture = Capture(lambda: Early([1], world), world.latest)
-    capture.start()
+    world = World(lambda: Early([1], world))
+    start(world)
     arrival = world.latest.take(PATIENCE)
     assert arrival is not None
     assert arrival.taken <= time.monotonic()
-    capture.close()
 
 
 def test_a_camera_that_is_missing_fails_or_goes_is_opened_again_and_says_why(start):
     gate = threading.Event()
     world = World(SourceError("not there"), [1, SourceError("unplugged")], [lambda: gate.wait(PATIENCE) and 7])
-    reasons = []
-    capture = Capture(world.open, world.latest, world.said.append)
-    capture.start()
+    capture = start(world)
     until(lambda: world.opened == 3)
-    reasons.append(capture.trouble)
+    assert capture.trouble == "unplugged"  # until a frame comes again
     assert not capture.opening
     gate.set()
     until(lambda: capture.trouble == "")
-    assert reasons == ["unplugged"]  # until a frame comes again
     assert (capture.attempts, capture.restarts) == (3, 1)
     assert world.closed == 1
     assert world.said == []  # a device's failures are nothing for a programmer
@@ -251,43 +246,26 @@ def frames(n, error=None):
 
 
 @pytest.mark.parametrize("error", [None, SourceError("broken file")])
-def test_a_recording_ends_once_with_its_last_frame_taken(error):
-    latest = LatestFrame()
-    opened = []
-
-    def open_it():
-        opened.append(1)
-        return Streamed(Stream(frames(3, error)), "film")
-
-    capture = Capture(open_it, latest)
-    before = time.monotonic()
-    capture.start()
+def test_a_recording_ends_once_with_its_last_frame_taken(start, error):
+    world, before = World(lambda: Streamed(Stream(frames(3, error)), "film")), time.monotonic()
+    capture = start(world)
     until(lambda: capture.finished)
-    arrival = latest.take(0.0)
+    arrival = world.latest.take(0.0)
     assert arrival is not None
     assert arrival.raw.sequence == 2
     assert before <= arrival.taken <= time.monotonic()  # its own stamps are of another clock
-    assert latest.skipped == 2
+    assert world.latest.skipped == 2
     assert capture.failure is error
-    assert len(opened) == 1
-    capture.close()
+    assert world.opened == 1
 
 
 def test_a_live_source_never_ends(start):
     """OpenCV's cameras come as plain sources."""
-    latest = LatestFrame()
-    opened = []
-
-    def open_it():
-        opened.append(1)
-        return Streamed(Stream(frames(2), live=True), "opencv:0")
-
-    capture = Capture(open_it, latest)
-    capture.start()
-    until(lambda: len(opened) > 1)
+    world = World(lambda: Streamed(Stream(frames(2), live=True), "opencv:0"))
+    capture = start(world)
+    until(lambda: world.opened > 1)
     assert not capture.finished
     assert "delivers no more frames" in capture.trouble or capture.trouble == ""
-    capture.close()
 
 
 @pytest.mark.parametrize("stamp", [float("nan"), float("inf"), float("-inf")])
@@ -300,8 +278,7 @@ def test_a_frame_of_a_live_source_without_a_finite_stamp_is_rejected_and_the_nex
         yield Frame(IMAGE, time.monotonic(), 9)
         ended.wait(PATIENCE)
 
-    world = World([])
-    world.open = lambda: Streamed(Stream(frames(), live=True, fps=60.0), "lamp")
+    world = World(lambda: Streamed(Stream(frames(), live=True, fps=60.0), "lamp"))
     capture = start(world)
     arrival = world.latest.take(PATIENCE)
     ended.set()
