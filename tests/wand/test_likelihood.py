@@ -127,13 +127,16 @@ def test_measured_edges_lie_on_the_true_outline(view, factor):
 def test_an_edge_is_where_a_pixel_has_half_the_light(view, inside, outside):
     """Light mixes linearly, and grey values do not: half the light of 0.8 is far more than half its grey value."""
     _, m, p, R, image = view
-    rows, columns = ((np.arange(10 * n) - 4.5) / 10.0 for n in image.shape[:2])
+    camera, share = InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]), np.zeros(image.shape[:2])
+    u, v = np.rint(project(p[None], camera)[0][0]).astype(int)
+    columns, rows = (middle - 64 + (np.arange(1280) - 4.5) / 10.0 for middle in (u, v))  # ten to a pixel
     x, y = np.meshgrid((columns - m.lens[2]) / m.lens[0], (rows - m.lens[3]) / m.lens[1])
     on_ball = (x * p[0] + y * p[1] + p[2]) ** 2 > (x**2 + y**2 + 1.0) * (p @ p - BALL.radius**2)
-    share = cv2.GaussianBlur(on_ball.reshape(image.shape[0], 10, image.shape[1], 10).mean(axis=(1, 3)), (0, 0), 0.7)
+    share[v - 64 : v + 64, u - 64 : u + 64] = on_ball.reshape(128, 10, 128, 10).mean(axis=(1, 3))
+    share = cv2.GaussianBlur(share, (0, 0), 0.7)
     grey = np.rint(255.0 * (outside + (inside - outside) * share) ** (1.0 / 2.2)).astype(np.uint8)
     found = measure_edges(cv2.merge([grey] * 3), p, R, DISCS, m, 1)
-    at = project(p + twins.outline(p, BALL.radius), InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0]
+    at = project(p + twins.outline(p, BALL.radius), camera)[0]
     r = np.sum((found[:, :2] - at) * found[:, 2:4], axis=1)[found[:, 4] > 0]
     assert len(r) > 8
     assert np.abs(np.median(r)) < 0.2  # px; grey values would be off by 0.4
