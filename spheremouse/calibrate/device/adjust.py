@@ -128,7 +128,8 @@ class DeviceCalibration:
         It has the discs' directions, and their joint covariance along `tangent_basis`.
         """
         block, radii = self.block("discs"), np.linalg.norm(self.discs, axis=1)
-        J = block_diag(*np.swapaxes(tangent_basis(self.directions), 1, 2) / radii[:, None, None])  # (2m, 3m)
+        by_position = np.swapaxes(tangent_basis(self.directions), 1, 2) / radii[:, None, None]  # (m, 2, 3)
+        J = np.asarray(block_diag(*by_position), float)
         return DiscMap(self.directions, J @ self.covariance[block, block] @ J.T, self.sightings)
 
 

@@ -58,7 +58,8 @@ def log_product(position: Array, rotation: Array, model: Model, fields: Fields) 
     normal = np.einsum("nij,pj->npi", rotation, model.points.table[inner, :3])
     place = position[:, None] + model.radius * normal
     visible = (place[..., 2] > 0.0) & (np.sum(normal * place, axis=2) < 0.0)
-    camera = InteriorOrientation(0, 0, *model.lens[:4], model.lens[4:])
+    fx, fy, cx, cy = model.lens[:4]
+    camera = InteriorOrientation(0, 0, fx, fy, cx, cy, model.lens[4:])
     u, v = np.moveaxis(project(place.reshape(-1, 3), camera)[0].reshape(*visible.shape, 2), -1, 0)
     x, y = (u - fields.left + 0.5) / fields.factor - 0.5, (v - fields.top + 0.5) / fields.factor - 0.5
     _, h, w = fields.weight.shape
