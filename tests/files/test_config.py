@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Literal
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from invoking import refusal
 from typer.testing import CliRunner
@@ -129,6 +129,7 @@ filters = st.builds(
 roots = st.builds(Root, so3=filters, outer=st.builds(Outer, text=words), tracker=st.sampled_from(["so3", "ekf1"]))
 
 
+@settings(max_examples=30)
 @given(roots)
 def test_what_is_written_reads_back_the_same(root):
     """Both texts: the commented file of `config init`, and what `config show` prints."""

@@ -1,7 +1,7 @@
 """Settings saved into a file: all that a person wrote stays, and what is wrong changes nothing."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spheremouse.errors import ConfigurationError
@@ -37,6 +37,7 @@ def test_one_value_changes_and_nothing_else(file):
     assert list(file.parent.iterdir()) == [file]
 
 
+@settings(max_examples=15)
 @given(st.sampled_from(["far-side", "camera-side", "left", "right"]), st.booleans(), st.floats(0.1, 10.0))
 def test_what_is_saved_is_what_is_read(tmp_path_factory, player, invert, scale):
     path = tmp_path_factory.mktemp("saved") / "config.yaml"

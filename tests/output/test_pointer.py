@@ -141,7 +141,7 @@ def test_what_was_overshot_is_withheld_from_motion_of_the_same_direction(rolls, 
     over, stood = int(player.lead[0]), player.sums[0]
     assert over >= 0
     for k in range(over + 3):
-        player.give(x(1))
+        player.give(x(1), listen=1e-6)
         player.finish()
         assert player.sums[0] == stood + max(0, k + 1 - over)
     assert player.lead[0] == 0

@@ -104,10 +104,7 @@ def test_another_object_is_refused(change):
 
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "sample.schema.json").read_text())
-
-
-def accepted(read):
-    return pytest.importorskip("jsonschema").Draft202012Validator(SCHEMA).is_valid(read)
+accepted = pytest.importorskip("jsonschema").Draft202012Validator(SCHEMA).is_valid
 
 
 @given(SEEDS, st.sampled_from(Status), st.sampled_from(["obj", "cam"]), st.sampled_from([None, 1.7e9]))

@@ -129,7 +129,7 @@ def test_no_more_is_passed_on_than_comes_in_and_never_against_it(seed, ways):
 
 @given(SEEDS, WAYS, st.sampled_from(["lost", "leap"]))
 def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
-    p, R = walk(seed)
+    p, R = walk(seed, n=15)
     settings = PointingSettings(by=by)
     before = list(map(pose, p, R))
     away = [replace(MISSING, phase=Status.SEARCHING), MISSING, MISSING] if fault == "lost" else []

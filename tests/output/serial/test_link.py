@@ -60,7 +60,7 @@ def test_the_board_makes_the_same_bytes(body, number):
     assert bytes(frame) == messages.encode(kind, number, data)
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(
     st.lists(st.one_of(bodies.map(lambda b: messages.encode(b[0], 9, b[1])), st.binary(max_size=90))), st.integers(1, 9)
 )
