@@ -38,7 +38,7 @@ def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = Fals
 
 
 def tuples(value: Any) -> Any:
-    """Return the value with tuples in place of lists, as `validate.validated` expects."""
+    """Return the value with tuples in place of lists, as `validate.validate` expects."""
     if isinstance(value, list):
         return tuple(map(tuples, value))
     return {k: tuples(v) for k, v in value.items()} if isinstance(value, dict) else value

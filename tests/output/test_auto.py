@@ -78,12 +78,6 @@ def test_an_adapter_is_never_taken_for_a_board(world):
     assert str(e.value).endswith(" | desktop: not here")
 
 
-def test_several_boards_are_told(world):
-    world.ports = [BOARD, {**BOARD, "device": "/dev/ttyACM9", "serial_number": "E662", "location": "1-2"}]
-    with pytest.raises(OutputError, match=r"several boards.*id=E661.*id=E662"):
-        open_output("auto")
-
-
 SPIN = report(z=240)  # two notches
 
 

@@ -186,6 +186,15 @@ def test_a_computer_that_falls_asleep_while_a_report_waits(micropython):
 # ---- how often the computer asks ----
 
 
+def read_from(waiting, buffer, port):
+    """Move the bytes that wait at a port into a buffer, as CircuitPython's `readinto` does; their number."""
+    n = min(len(buffer), len(waiting))
+    buffer[:n] = waiting[:n]
+    del waiting[:n]
+    port.in_waiting = len(waiting)
+    return n
+
+
 def test_a_computer_that_asks_every_8_ms(mouse):
     """CircuitPython's mouse: `send_report` waits for the report before; 30 us a byte in Python. The page's figures."""
     clock = SimpleNamespace(ms=0.0)
@@ -201,10 +210,7 @@ def test_a_computer_that_asks_every_8_ms(mouse):
     came, went = bytearray(), bytearray()
 
     def readinto(buffer):
-        n = min(len(buffer), len(came))
-        buffer[:n] = came[:n]
-        del came[:n]
-        port.in_waiting = len(came)
+        n = read_from(came, buffer, port)
         clock.ms += 0.03 * n
         return n
 
@@ -309,17 +315,10 @@ class EndOfTestError(Exception):
 def run_code(c, frames=b"", reason="STARTUP"):
     """Run code.py for five turns of its loop; return its reports and the bytes of its answers."""
     waiting, reports, out, port, hid = bytearray(frames), [], bytearray(), c.usb_cdc.data, MagicMock()
-
-    def readinto(buffer):
-        n = min(len(buffer), len(waiting))
-        buffer[:n] = waiting[:n]
-        del waiting[:n]
-        port.in_waiting = len(waiting)
-        return n
-
     if port is not None:
         port.configure_mock(in_waiting=len(frames), out_waiting=0, connected=True)
-        port.readinto.side_effect, port.write.side_effect = readinto, out.extend
+        port.readinto.side_effect = lambda buffer: read_from(waiting, buffer, port)
+        port.write.side_effect = out.extend
     hid.get_last_received_report.return_value = None
     hid.send_report.side_effect = lambda report, report_id: reports.append((report_id, bytes(report)))
     c.usb_hid.devices, c.busio.UART.return_value.in_waiting = [hid], 0

@@ -372,8 +372,3 @@ def test_no_board_or_several(ports, identifier, problem):
         with pytest.raises(OutputError, match=problem) as e:
             find_board(identifier, order)
         assert str(e.value) == f"{e.value.problem}; {e.value.hint}"
-
-
-def test_an_adapter_is_taken_only_if_it_may_be():
-    with pytest.raises(OutputError, match="no board of ours"):
-        find_board(None, [ADAPTER], adapters=False)
