@@ -50,8 +50,8 @@ _KILLED = """
 import os, signal, sys, time
 sys.path[:0] = {path!r}
 from tables import frame
-from spheremouse.output import batch, open_output
-batch.MAX_WAIT_S = 0.1
+from spheremouse.output import log_file, open_output
+log_file.MAX_WAIT_S = 0.1
 output = open_output({spec!r}).__enter__()
 output.begin(lambda: {{"source": "a test"}})
 for k in range(1, 101):

@@ -14,9 +14,9 @@ from typing import BinaryIO
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding, ok
 from spheremouse.output import OutputClosed, Report
-from spheremouse.output.batch import BatchOutput
 from spheremouse.output.lines import LineFormat, parse_address
 from spheremouse.output.log_file import (
+    BatchOutput,
     check_file,
     drop_unfinished_line,
     probe_file,

@@ -12,7 +12,7 @@ import pytest
 from reporting import PATIENCE, report, until
 
 from spheremouse.errors import OutputError
-from spheremouse.output import Output, OutputClosed, batch, open_output
+from spheremouse.output import Output, OutputClosed, log_file, open_output
 from spheremouse.output import reporter as module
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
@@ -160,13 +160,13 @@ def test_a_report_to_an_output_that_never_blocks_is_sent_by_its_caller(start):
 
 @pytest.mark.parametrize("form", ["json", "counts"])
 def test_a_file_gets_the_lines_of_a_second_at_once_even_if_no_frame_follows(start, tmp_path, monkeypatch, form):
-    monkeypatch.setattr(batch, "PERIOD_S", 0.05)
+    monkeypatch.setattr(log_file, "PERIOD_S", 0.05)
     path = tmp_path / "log"
     reporter, given = start(World(), open_it=lambda: open_output(f"text:{path},format={form}"))
     for _ in range(4):
         given(3, -2, 1)
     until(lambda: path.exists() and path.read_text().count("\n") == 4 + (form == "counts"))  # with its header
-    monkeypatch.setattr(batch, "PERIOD_S", 100.0)
+    monkeypatch.setattr(log_file, "PERIOD_S", 100.0)
     given(7, 0, 0)
     reporter.close()
     assert path.read_text().count("\n") == 5 + (form == "counts")

@@ -11,7 +11,7 @@ from reporting import refused
 from tables import frame, full_disk, write_and_be_killed
 
 from spheremouse.errors import OutputError
-from spheremouse.output import batch, open_output, parquet
+from spheremouse.output import log_file, open_output, parquet
 from spheremouse.output.columns import columns, rows
 from spheremouse.output.table import beside
 from spheremouse.tracker import Status
@@ -20,7 +20,7 @@ from spheremouse.tracker import Status
 @pytest.fixture(params=["csv", "parquet"])
 def kind(request, monkeypatch):
     """Write each row at once, and two to a row group."""
-    monkeypatch.setattr(batch, "MAX_WAIT_S", 0.0)
+    monkeypatch.setattr(log_file, "MAX_WAIT_S", 0.0)
     if request.param == "parquet":
         pytest.importorskip("pyarrow")
         monkeypatch.setattr(parquet, "_GROUP_BATCHES", 2)
