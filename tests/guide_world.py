@@ -112,7 +112,6 @@ class Pointer(Output):
 
 
 def child(folder, words):
-    """Run a command of the page."""
     from spheremouse import commands
     from spheremouse.capture import nodes, v4l2
     from spheremouse.output import uinput
@@ -127,7 +126,6 @@ def child(folder, words):
 
 
 def page(folder, words):
-    """Serve the page."""
     from spheremouse import commands
 
     os.chdir(folder)

@@ -81,7 +81,6 @@ class Server:
 
     @property
     def owner_url(self):
-        """The address for the owner."""
         assert self._page.poll() is None, f"the page process ended with {self._page.returncode}"
         return f"{self.url}?token={self._token.read_text().strip()}"
 
@@ -116,11 +115,9 @@ class Service(Server):
             return {}
 
     def reach(self, **values):
-        """Wait until the status has the values."""
         wait_for(str(values), lambda: values.items() <= self.status().items())
 
     def ask(self, command, **arguments):
-        """Return the reply of the daemon to a request."""
         with Client(self.socket) as client:
             return client.ask(command, **arguments)
 

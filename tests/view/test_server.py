@@ -20,6 +20,7 @@ import pytest
 import simplejpeg
 from daemon_world import Film, World
 from reporting import free_port
+from view_world import wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -120,7 +121,6 @@ class Browser:
         raise AssertionError(f"no {kind}: {[m['type'] for m in self.seen]}")
 
     def ask(self, type_, **words):
-        """The answer to a request."""
         self._id += 1
         self.socket.send(json.dumps({"type": type_, "id": self._id, **words}))
         while True:
@@ -130,7 +130,6 @@ class Browser:
                 return message
 
     def frame(self):
-        """The answer to `next`."""
         self.socket.send('{"type":"next"}')
         return self.until("frame")
 
@@ -149,7 +148,6 @@ def read(received):
 
 
 def act(browser, action, **arguments):
-    """The answer to an action."""
     return browser.ask("do", action=action, arguments=arguments)
 
 
@@ -332,10 +330,7 @@ def replayed(browser, name):
 
 
 def wait_for_end(process):
-    end = time.monotonic() + PATIENCE
-    while Path(f"/proc/{process}").exists():
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    wait_for("its end", lambda: not Path(f"/proc/{process}").exists(), PATIENCE)
 
 
 def test_recordings_of_the_daemons_folder_are_listed_and_no_other_is_opened(world, page, clip):
@@ -583,10 +578,7 @@ def test_silent_connections_lose_their_places(alone, monkeypatch):
             silent = stack.enter_context(socket.create_connection(("127.0.0.1", alone), timeout=PATIENCE))
             silent.sendall(b"GET / HT" if k % 2 else b"")
         assert get(alone)[0] == 503
-        end = time.monotonic() + PATIENCE
-        while get(alone)[0] != 200:
-            assert time.monotonic() < end
-            time.sleep(0.1)
+        wait_for("a place", lambda: get(alone)[0] == 200, PATIENCE)
 
 
 def test_too_many_browsers_are_turned_away(alone, monkeypatch):

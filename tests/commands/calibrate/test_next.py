@@ -109,6 +109,7 @@ def test_a_calibration_from_nothing_to_the_mouse(tmp_path, monkeypatch):
 
     step = next_of(folder)
     assert step.name == "print"
+    monkeypatch.setattr("spheremouse.calibrate.prints.page.pdf", lambda *_: b"the slow part")
     run(*shlex.split(step.command)[2:], "--only", "boards")
     assert (folder / "print" / "board.yaml").exists()
 
