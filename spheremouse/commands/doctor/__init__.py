@@ -1,8 +1,6 @@
 """`spheremouse doctor`: check everything from the camera to the pointer."""
 
-import contextlib
 import json
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -53,8 +51,8 @@ def doctor(
     overrides = CommandLineOverrides(config, settings_given([], config, options))
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
-    with _waiting(quiet=as_json) as progress:
-        for section in examine(overrides, progress=progress):
+    with Console(stderr=True, quiet=as_json).status("") as status:  # only a terminal shows it
+        for section in examine(overrides, progress=lambda text: status.update(f"{text} ...")):
             sections.append(section)
             if not as_json:
                 show(section, console)
@@ -65,16 +63,3 @@ def doctor(
         console.print("for a bug report: spheremouse doctor --json", style="dim")
     if any(f.verdict is Verdict.WRONG for s in sections for f in s.findings):
         raise typer.Exit(1)
-
-
-@contextlib.contextmanager
-def _waiting(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show the step in progress on standard error, if it is a terminal."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if quiet or not console.is_terminal:
-        yield lambda _: None
-        return
-    with console.status("") as status:
-        yield lambda text: status.update(f"{text} ...")

@@ -105,7 +105,8 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     made, verb = _calibration_time(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
-    text = f"{path}: {verb} {_since(days)}; {targets}, ball of {_length(rig)}"
+    diameter = "unknown size" if rig.scale_free else f"{2.0 * rig.ball.radius:.3g} m"
+    text = f"{path}: {verb} {_since(days)}; {targets}, ball of {diameter}"
     return classify(
         "rig",
         text,
@@ -156,7 +157,3 @@ def _since(days: float) -> str:
     if days < -1.0:
         return f"{-days:.0f} days from now"
     return "today" if days < 1.0 else f"{days:.0f} day{'' if round(days) == 1 else 's'} ago"
-
-
-def _length(rig: Rig) -> str:
-    return "unknown size" if rig.scale_free else f"{2.0 * rig.ball.radius:.3g} m"
