@@ -28,6 +28,7 @@ class PictureFeed:
         self._ring: PictureRing | None = None
         self._due = 0.0  # s, of the next picture
         self._number = 0  # of the last picture
+        self._camera = -1  # of the last picture
 
     def lease(self, now: float, interval: float, size: tuple[int, int]) -> PictureRing:
         """Begin a lease at `now`, or renew it, and return the ring. `size` is the expected width and height, px.
@@ -42,16 +43,30 @@ class PictureFeed:
             self._interval, self._until = min(self._interval, interval), now + LEASE
             return self._ring
 
-    def show(self, now: float, raw: RawFrame, adapter: TrackerAdapter, result: FrameResult | None) -> None:
-        """Write a frame that is not yet released, if a picture is due; `result` is None if it was not tracked."""
-        if self._ring is None or now < self._due:
-            return
+    def show(
+        self,
+        now: float,
+        raw: RawFrame,
+        adapter: TrackerAdapter,
+        result: FrameResult | None,
+        *,
+        camera: int = 0,
+        cameras: int = 1,
+    ) -> None:
+        """Write a frame of a `camera` that is not yet released, if a picture is due.
+
+        `result` is None if the frame was not tracked. Several `cameras` take turns. If the others give no frames, a
+        camera's next picture comes one interval late.
+        """
         interval = self._interval
+        if self._ring is None or now < self._due + (interval if cameras > 1 and camera == self._camera else 0.0):
+            return
+        self._camera = camera
         self._due = max(self._due + interval, now + 0.5 * interval)  # the mean interval, at any rate of the camera
         time.sleep(_OUTPUTS_FIRST)
         try:
             image = raw.payload()
-            marks = adapter.annotations(result)
+            marks = {"camera": camera, **adapter.annotations(result)}
             self._number += 1
             self._write(
                 LivePicture(self._number, raw.stamp, image.format, image.width, image.height, image.data, marks)

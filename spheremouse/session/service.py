@@ -152,8 +152,8 @@ class Daemon:
                 self._publish(made, arrival.taken, shown=shown)
             elif worker.untracked is not None and shown:
                 parts.archive.look(worker.untracked, self.adapter)
-            if shown:
-                parts.pictures.show(now, arrival.raw, self.adapter, made)
+            cameras = len(parts.captures.each)
+            parts.pictures.show(now, arrival.raw, self.adapter, made, camera=arrival.camera, cameras=cameras)
         finally:
             if replay is not None and waiting and not self.adapter.waiting:
                 replay.control(replay.controls, rewind=True)  # to the frames before the pose was known

@@ -71,7 +71,7 @@ def test_a_picture_is_the_raw_frame_with_the_marks_of_the_tracker(feed):
     picture = reader.latest()
     assert (picture.format, picture.width, picture.height, picture.stamp) == ("grey", 8, 4, 3.5)
     assert picture.pixels == 32 * b"\7"
-    assert picture.annotations == {"sequence": 41}
+    assert picture.annotations == {"camera": 0, "sequence": 41}
 
 
 @pytest.mark.parametrize(
@@ -87,6 +87,17 @@ def test_the_mean_interval_is_the_shortest_one_requested_at_any_rate_of_the_came
     shown, shortest = np.flatnonzero([raw.copied for raw in raws]) / fps, min(intervals)
     assert np.mean(np.diff(shown)) == pytest.approx(max(shortest, 1 / fps), rel=0.03)
     assert np.diff(shown).min() > 0.5 * shortest - 1e-9
+
+
+@pytest.mark.parametrize(("cameras", "shown"), [((0, 1), [0, 1, 0, 1, 0, 1]), ((1,), [1, 1, 1, 1])])
+def test_two_cameras_take_turns_and_one_goes_on_alone(feed, cameras, shown):
+    reader, seen = reader_of(feed), []
+    for k in range(18):  # 0.6 s
+        for camera in cameras:
+            feed.show(k / 30 + 1e-3 * camera, Raw(k), ADAPTER, k, camera=camera, cameras=2)
+            if (picture := reader.latest(len(seen))) is not None:
+                seen.append(picture.annotations["camera"])
+    assert seen == shown
 
 
 def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
@@ -126,7 +137,7 @@ def test_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
     feed.show(0.0, Raw(), SimpleNamespace(annotations=lambda made: 1 / 0), 1)
     feed.show(1.0, Raw(), SimpleNamespace(annotations=lambda made: {"x": float("nan")}), 1)
     feed.show(2.0, Raw(), ADAPTER, 3)
-    assert reader.latest().annotations == {"sequence": 3}
+    assert reader.latest().annotations == {"camera": 0, "sequence": 3}
     assert ["ZeroDivisionError" in log[0], "ValueError" in log[1]] == [True, True]
 
 

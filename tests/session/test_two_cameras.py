@@ -222,6 +222,11 @@ def world(films, rigs, tmp_path, quick_daemon):
     yield from quick_daemon(front, "spheremouse.session.outputs.open_output")
 
 
+def note(picture, discs):
+    if picture is not None:
+        discs[picture.annotations["camera"]] = picture.annotations["predicted"]
+
+
 def said(world, *texts):
     world.until(lambda: all(text in world.said for text in texts), texts)
 
@@ -231,6 +236,9 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world):
     world.reach("tracking")
     world.turn()
     assert [(each["trouble"], each["restarts"]) for each in world.client.ask("status")["cameras"]] == [("", 0)] * 2
+    reader, discs = world.client.pictures(0.03), {}
+    world.until(lambda: len(discs) == 2 or note(reader.latest(), discs), "pictures of both")
+    assert discs[0] != discs[1]
     world.missing = "unplugged"
     said(world, "camera 1: unplugged; the other goes on")
     world.second.moves = LENGTH - 1

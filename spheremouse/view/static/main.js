@@ -37,6 +37,7 @@ let refusal = ""; // of the page process, since the token is another one
 
 const link = new Link({ message: receive, frame: draw, lost });
 const settings = new Settings(link);
+const camera = byId("camera", HTMLSelectElement); // of the picture, if there are two
 const picture = new Picture(byId("picture", HTMLCanvasElement), byId("layers", HTMLElement));
 const space = new Space(byId("space", HTMLCanvasElement), byId("space-note", HTMLElement), byId("views", HTMLElement));
 const plots = new Plots();
@@ -107,13 +108,17 @@ function hello(message) {
 
 function draw(/** @type {import("./types.js").Frame} */ frame, /** @type {ImageBitmap | null} */ bitmap) {
   const now = performance.now();
+  if (bitmap && String(frame.annotations?.camera ?? 0) !== camera.value) {
+    bitmap.close();
+    bitmap = null;
+  }
   if (bitmap) pictures.push(now);
   while (pictures[0] !== undefined && pictures[0] < now - 2000) pictures.shift();
   const samples = frame.samples.map(readSample);
   picture.take(frame, bitmap);
   plots.take(samples);
   space.take(samples);
-  const masked = (status?.cameras?.length > 1 ? ", the first camera" : "") + (owner ? "" : ", masked to ball and targets");
+  const masked = owner ? "" : ", masked to ball and targets";
   setText(byId("picture-rate", HTMLElement), pictures.length ? `${Math.round(pictures.length / 2)} pictures/s${masked}` : status ? "no picture" : "not live");
   picture.canvas.classList.toggle("old", !pictures.length);
   plots.read(status);
@@ -131,6 +136,8 @@ async function lost() {
  */
 function showStatus(now, reason, remedy) {
   status = now;
+  camera.hidden = !(now?.cameras?.length > 1);
+  if (camera.hidden) camera.value = "0";
   const known = STATES[now?.state ?? ""];
   const replay = now?.source?.replay;
   const word = now ? (replay ? "replay: " : "") + (known?.word ?? now.state ?? "unknown") : "offline";

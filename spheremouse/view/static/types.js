@@ -22,6 +22,7 @@
  * @typedef {number[]} Mask left, top, right, bottom of a rectangle, or x and y of each corner of a polygon, px
  *
  * @typedef {object} Annotations
+ * @property {number} [camera] from 0
  * @property {Point[]} [outline]
  * @property {Point[][]} [others] outlines of further balls
  * @property {{x: number, y: number, shape: Shape, used: boolean}[]} [detected]
