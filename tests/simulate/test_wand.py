@@ -30,15 +30,17 @@ from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
 from tests.simulate.scenes import LENS, rng
 
 CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)
+HAND = WandOptions(motion="hand", seed=4, noise=0.0, size=(640, 480), seconds=3.0, vary=0.0)  # one background for all
 
 
 class Across:
-    """A ball 1 m away that moves to the right."""
+    """A ball before the camera that moves to the right."""
 
-    seconds, speed = 100.0, 0.4  # m/s
+    seconds, distance, speed = 100.0, 0.25, 0.4  # s, m, m/s
 
     def pose(self, t):
-        return np.column_stack([self.speed * t, 0.0 * t, np.ones_like(t)]), np.tile(np.eye(3), (len(t), 1, 1))
+        centre = np.column_stack([self.speed * t, 0.0 * t, np.full_like(t, self.distance)])
+        return centre, np.tile(np.eye(3), (len(t), 1, 1))
 
 
 @pytest.mark.parametrize("seed", [1, 7])
@@ -128,24 +130,23 @@ def test_cover_is_the_area_of_the_outline_and_goes_to_the_edge_of_the_picture():
 
 def test_exposure_lengthens_the_picture_of_a_moving_ball():
     """The ball's picture is longer by its way during the exposure, about the place at mid-exposure."""
-    camera = InteriorOrientation(400, 300, 2100.0, 2100.0, 200.0, 150.0)
+    plain = prepare_wand(HAND).scene
 
     def extent(exposure):
-        scene = WandScene(camera, (Carried(grzonka_ball(), Across(), "nothing"),), indoor_light(), exposure_s=exposure)
+        scene = replace(plain, balls=(Carried(grzonka_ball(), Across(), "nothing"),), exposure_s=exposure)
         with_ball, without = (WandRenderer(s).picture(0.0, rng()) for s in (scene, replace(scene, balls=())))
         changed = np.any(with_ball != without, axis=2)
         columns, rows = (np.flatnonzero(changed.any(axis=k)) for k in (0, 1))
         return columns[0], columns[-1], np.ptp(rows)
 
     sharp, blurred = np.array(extent(0.0)), np.array(extent(0.02))
-    half = 0.5 * Across.speed * 0.02 * 2100.0  # px
+    half = 0.5 * Across.speed * 0.02 * plain.camera.fx / Across.distance  # px
     np.testing.assert_allclose(blurred - sharp, [-half, half, 0.0], atol=1.6)
 
 
 def test_a_picture_of_two_balls_has_no_seam():
     """Each pixel is that of the picture with the ball that changes it alone, or of the empty room."""
-    film = prepare_wand(WandOptions(motion="hand", seed=4, noise=0.0, size=(640, 480), balls=2, seconds=3.0, vary=0.0))
-    scene = film.scene
+    scene = prepare_wand(replace(HAND, balls=2)).scene
     both, first, second, room = (
         WandRenderer(replace(scene, balls=balls)).picture(1.0, rng())
         for balls in (scene.balls, scene.balls[:1], scene.balls[1:], ())
@@ -206,7 +207,7 @@ def test_coloured_regions_lie_where_a_path_tracer_puts_them():
 
 
 def test_noise_is_that_asked_for_and_new_in_every_frame():
-    film = prepare_wand(WandOptions(seed=1, noise=3.0, size=(640, 480), seconds=4.0))
+    film = prepare_wand(replace(HAND, noise=3.0))
     clean = WandRenderer(replace(film.scene, noise=0.0)).picture(0.0, rng()).astype(float)
     first, second = (shot.frame.image.astype(float) - clean for shot in islice(simulate_wand(film), 2))
     middle = (clean > 30) & (clean < 225)
@@ -228,18 +229,13 @@ def test_the_sun_leaves_glare_on_the_ball_and_the_room_does_not():
 
 
 def test_a_film_repeats_and_another_seed_is_another():
-    options = WandOptions(motion="hand", seed=2, seconds=0.2, size=(320, 240))
-
-    def shots(seed):
-        return list(simulate_wand(prepare_wand(replace(options, seed=seed))))
-
-    a, b, c = shots(2), shots(2), shots(3)
+    film, other = (prepare_wand(replace(HAND, seed=seed, seconds=0.2, noise=2.0, vary=0.1)) for seed in (4, 5))
+    a, b = list(simulate_wand(film)), list(simulate_wand(film))
     assert len(a) == 3
     for one, same in zip(a, b, strict=True):
         assert np.array_equal(one.frame.image, same.frame.image)
         assert np.array_equal(one.position, same.position)
-    assert not np.array_equal(a[0].position, c[0].position)
-    film = prepare_wand(options)
+    assert not np.array_equal(film.truth().position, other.truth().position)
     assert np.array_equal(film.truth().position[1], a[1].position[0])
     assert [shot.frame.stamp for shot in a] == pytest.approx([0.0, 1 / 15, 2 / 15])
 
@@ -255,7 +251,7 @@ def test_a_second_ball_does_not_move_the_first():
 @pytest.mark.slow
 def test_hand_and_card_come_and_go():
     """The card hides the ball at its time; a second and a half later, and before, the picture is as without it."""
-    options = WandOptions(motion="hand", seed=6, noise=0.0, size=(640, 480), seconds=6.0, vary=0.0)
+    options = replace(HAND, seconds=6.0)
     plain = WandRenderer(prepare_wand(options).scene)
     for field, hides in (("card", True), ("hand", False)):
         film = prepare_wand(replace(options, **{field: 3.0}))
