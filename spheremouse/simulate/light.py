@@ -132,11 +132,10 @@ def develop(light: Array) -> Array:
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
-def to_bytes(grey: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def quantise(grey: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return grey values in bytes, with normal noise of the standard deviation `noise` in every channel."""
-    if noise > 0.0:
-        grey = np.add(grey, np.float32(noise) * rng.standard_normal(grey.shape, dtype=np.float32))
-    return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)
+    noisy = grey if noise == 0.0 else grey + np.float32(noise) * rng.standard_normal(grey.shape, dtype=np.float32)
+    return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
 
 
 def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:

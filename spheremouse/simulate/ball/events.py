@@ -9,7 +9,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.layers import Layer, drawn_hand, hand_layer
-from spheremouse.simulate.light import smoothstep, to_bytes
+from spheremouse.simulate.light import quantise, smoothstep
 from spheremouse.simulate.shapes import circle
 from spheremouse.tracker import Frame
 
@@ -157,4 +157,4 @@ def degrade(frames: Iterator[Frame], noise: float, brightness: float) -> Iterato
             yield frame
             continue
         rng = np.random.default_rng([_SEED, frame.sequence])
-        yield replace(frame, image=to_bytes(frame.image + np.float32(brightness), noise, rng))
+        yield replace(frame, image=quantise(frame.image + np.float32(brightness), noise, rng))

@@ -24,7 +24,7 @@ from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.options import StillsOptions
 from spheremouse.simulate.ball.scene import LAMPS, STRIPS, Scene, default_scene, frame, room
 from spheremouse.simulate.ball.surface import Surface
-from spheremouse.simulate.light import Lighting, to_bytes
+from spheremouse.simulate.light import Lighting, quantise
 from spheremouse.simulate.shapes import circle, unit
 
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
@@ -100,7 +100,7 @@ def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, r
     direction = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
         pose = looking(_AIM + reach * direction, _AIM, np.radians(roll))
-        if _in_room(pose) and _shows(scene, pose):
+        if _in_room(pose) and _shows(replace(scene, pose=pose)):
             return pose
     return None
 
@@ -118,31 +118,31 @@ def looking(position: Array, at: Array, roll: float) -> Pose:
     return Pose(np.stack([c * x + s * y, c * y - s * x, z], axis=1), position)
 
 
-def _shows(scene: Scene, pose: Pose) -> bool:
+def _shows(scene: Scene) -> bool:
     """The whole ball in the picture, and three targets of it or more, wholly, facing the camera enough."""
-    toward = unit(pose.position)
+    toward = unit(scene.pose.position)
     side = unit(np.cross(toward, (0.2, 1.0, 0.1)))
     limb = scene.ball_radius * circle(24) @ np.array([side, np.cross(toward, side)])
-    whole = np.all(_in_picture(pose.to_cam(limb), scene.camera))
-    return bool(whole and np.sum(_facing(scene, pose)[0]) >= 3 and np.sum(seen_targets(scene, pose)) >= 3)
+    whole = np.all(_in_picture(scene.pose.to_cam(limb), scene.camera))
+    return bool(whole and np.sum(_facing(scene)[0]) >= 3 and np.sum(seen_targets(scene)) >= 3)
 
 
-def seen_targets(scene: Scene, pose: Pose) -> NDArray[np.bool_]:
+def seen_targets(scene: Scene) -> NDArray[np.bool_]:
     """Return True, (n,), for targets that nothing hides and that have rings wide enough to be resolved."""
-    facing, cam = _facing(scene, pose)
-    _, depth = replace(scene, pose=pose).viewpoint().cast(cam[..., :2] / cam[..., 2:])
+    facing, cam = _facing(scene)
+    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
     return facing & np.all(depth > cam[..., 2] - 1e-3, axis=1)
 
 
-def _facing(scene: Scene, pose: Pose) -> tuple[NDArray[np.bool_], Array]:
-    """Return targets in the picture and large enough, were nothing in the way, (n,).
+def _facing(scene: Scene) -> tuple[NDArray[np.bool_], Array]:
+    """Return which targets would be seen wholly and large enough, were nothing in the way, (n,).
 
-    Also points just within their outer circles, (n, 16, 3) m in cam.
+    Also return points just within their outer circles, (n, 16, 3) m in cam.
     """
     rim = 0.98 * scene.targets.radii[2] * np.column_stack([circle(16), np.zeros(16)])
-    cam = pose.to_cam(scene.targets.position[:, None] + rim)
+    cam = scene.pose.to_cam(scene.targets.position[:, None] + rim)
     inside = np.all(_in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
-    to_camera = pose.position - scene.targets.position
+    to_camera = scene.pose.position - scene.targets.position
     distance = np.linalg.norm(to_camera, axis=1)
     width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
     return inside & (width * to_camera[:, 2] / distance > _MIN_RING_PX), cam
@@ -314,4 +314,4 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
 
 def _expose(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Through the lens' blur, with noise, in bytes."""
-    return to_bytes(np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32), noise, rng)
+    return quantise(np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32), noise, rng)
