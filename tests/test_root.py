@@ -206,7 +206,7 @@ def film(path):
 
 
 def write_dataset(path):
-    simulation = prepare(SimulationOptions(motion="roll", seconds=0.05))
+    simulation = prepare(SimulationOptions(motion="roll", seconds=0.05, size=(160, 120)))
     assert len(list(write_simulation(path, simulation))) == 2
 
 

@@ -27,7 +27,7 @@ QUICK = ("white-black", "dark-white", "red-blue")  # grey, its negative, and a c
 
 
 @cache
-def film(pair, seconds=0.8, turns=0.2):
+def film(pair, seconds=0.5, turns=0.2):
     """A simulation of a ball that turns from the first frame on, and its frames."""
     ball, disc = PAIRS[pair]
     options = {"motion": "roll", "turns": turns, "noise": 4.0, "seconds": seconds, "seed": 3}
@@ -49,7 +49,7 @@ def run(sim, frames, settings=None, known=None):
 
 
 @cache
-def tracked(pair, seconds=0.8):
+def tracked(pair, seconds=0.5):
     return run(*film(pair, seconds))
 
 

@@ -1,6 +1,7 @@
 """Why no disc is found: each cause made, and told from the others."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -43,15 +44,20 @@ def painted(image):
     return noisy(np.full_like(image, 150))
 
 
+@cache
+def filmed(**options):
+    """The scene of a film, and its first picture."""
+    film = prepare(SimulationOptions(seconds=0.1, noise=3.0, **options))
+    return film.scene, next(iter(simulate(film))).frame.image
+
+
 def why(change=None, disc=1.0, settings=None, size=(640, 480), seed=5, grey=False, **options):
     """What is said of the first frame of a film, changed, by a rig whose discs are `disc` times as large."""
-    film = prepare(SimulationOptions(seconds=0.1, noise=3.0, seed=seed, size=size, **options))
-    rig = film.scene.rig()
-    rig = replace(rig, disc_radius=disc * rig.disc_radius)
-    image = next(iter(simulate(film))).frame.image
+    scene, image = filmed(seed=seed, size=size, **options)
+    rig = replace(scene.rig(), disc_radius=disc * scene.rig().disc_radius)
     image = image if change is None else change(image)
     image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image
-    return why_no_disc(image, rig, film.scene.pose, settings or DiscSettings())
+    return why_no_disc(image, rig, scene.pose, settings or DiscSettings())
 
 
 @pytest.mark.slow

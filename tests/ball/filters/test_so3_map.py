@@ -13,10 +13,10 @@ from so3_world import seen as directions_seen
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import CandidatePoints, Pairing, relocate
-from spheremouse.ball.filters.so3_map import augment, drop, keep_candidates, to_map, with_candidates, with_map
-from spheremouse.ball.filters.so3_motion import CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_map import augment, keep_candidates, to_map, with_candidates, with_map
+from spheremouse.ball.filters.so3_motion import CLONE_DIM, MAP_OFFSET
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import RIG, add_common, forget_common, inject
+from spheremouse.ball.filters.so3_state import RIG, inject
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 from spheremouse.native import kernels
 from tests.ball.filters.twins import drawn, linear
@@ -58,6 +58,8 @@ def test_the_map_holds_the_discs_seen_often_enough():
     keep = np.delete(np.arange(24), [2, 5])
     assert_array_equal(known.directions, state.discs[keep])
     assert_array_equal(known.sightings, hits[keep])
+    two = np.flatnonzero(np.repeat(np.isin(np.arange(24), keep), 2))
+    assert_allclose(known.covariance, to_map(state, 1).covariance[np.ix_(two, two)], rtol=1e-12)
     assert to_map(replace(state, hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
     some = to_map(replace(state, hits=np.where(np.arange(24) < 4, 9, 0)), 3)
     assert some is not None
@@ -259,31 +261,6 @@ def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
         squares.append(squared(e, state.joint[:3, :3]))
     low, high = chi2.ppf([0.025, 0.975], 3 * runs) / runs
     assert low < np.mean(squares) < high
-
-
-def test_drop_forgets_discs_and_their_rows_and_no_others():
-    state, _ = learnt()
-    keep = np.arange(24) % 3 > 0
-    some = drop(state, keep)
-    discs = MAP_OFFSET + np.flatnonzero(np.repeat(keep, 2))
-    rows = np.concatenate([np.arange(MAP_OFFSET), discs, np.arange(-CLONE_DIM, 0)])
-    assert_array_equal(some.discs, state.discs[keep])
-    assert_array_equal(some.basis, state.basis[keep])
-    assert_array_equal(some.hits, state.hits[keep])
-    assert_array_equal(some.joint, state.joint[rows][:, rows])
-    assert drop(state, np.ones(24, dtype=bool)) is state
-
-
-def test_other_errors_of_axes_and_centre_are_independent_of_the_state():
-    state, _ = learnt()
-    A = np.random.default_rng(8).normal(size=state.joint.shape)
-    joint, other = A + A.T, np.diag(np.arange(1.0, 8.0))
-    expected, span = joint.copy(), np.arange(KINEMATIC_DIM, READOUT)
-    expected[span] = expected[:, span] = 0.0
-    expected[np.ix_(span, span)] = other
-    forget_common(joint)
-    add_common(joint, other)
-    assert_array_equal(joint, expected)
 
 
 def test_an_attitude_that_the_discs_share_weakens_no_sighting():

@@ -14,22 +14,20 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
-from tests.ball.texture import test_method
 from tests.ball.texture.test_method import events
 
 DT = 1.0 / 30.0
 ELSEWHERE = -25  # a picture of the film about 25° before the last one
 
 
-@pytest.fixture(scope="module")
-def film():
-    return test_method.film("speckle", seconds=2.0)
+@pytest.fixture
+def film(speckle):
+    return speckle[:2]
 
 
-@pytest.fixture(scope="module")
-def tracked(film):
-    made, tracker = film
-    return follow([m.frame.image for m in made], tracker)
+@pytest.fixture
+def tracked(speckle):
+    return speckle[2]
 
 
 def follow(images, tracker, steps=(), interval=DT):

@@ -48,12 +48,6 @@ def errors_of(made, steps, first):
     return np.degrees(np.linalg.norm(errors[first:], axis=1))
 
 
-@pytest.fixture(scope="module")
-def speckle():
-    made, tracker = film("speckle")
-    return made, tracker, follow([m.frame for m in made], tracker)
-
-
 def shown_again(made, k, last, n):
     """Picture k, n frames after the last one of a film."""
     frame = made[k].frame
