@@ -1,6 +1,7 @@
 """The watch on the targets: a camera that stands, one that was pushed, people in front; and the pose that follows."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -43,20 +44,21 @@ class Film:
         return watching.remember_targets(watch, image, np.arange(len(watch)), self.rig, RINGS)
 
 
+@cache
 def _film(push):
     sim = prepare(SimulationOptions(motion="still", noise=3.0, seconds=0.2, bump=0.11, bump_by=push))
     images = [f.frame.image for f in simulate(sim)]
     return Film(sim.scene.rig(), sim.scene.pose, sim.changes[0].scene.pose, images[:4], images[4:])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def near():
     return _film(PUSH)
 
 
-@pytest.fixture(scope="module")
-def far():
-    return _film(FAR_PUSH)
+@pytest.fixture(params=[PUSH, FAR_PUSH], ids=["near", "far"])
+def film(request):
+    return _film(request.param)
 
 
 def test_a_camera_that_stands(near):
@@ -91,9 +93,7 @@ def test_two_targets_are_looked_at_in_each_frame_after_the_camera_was_displaced(
     assert np.count_nonzero(steps[30:]) <= len(watch) + 1
 
 
-@pytest.mark.parametrize("name", ["near", "far"])
-def test_a_shift_of_the_image_appears_as_a_turn_of_the_ball_if_it_is_small(name, request):
-    film = request.getfixturevalue(name)
+def test_a_shift_of_the_image_appears_as_a_turn_of_the_ball_if_it_is_small(film):
     tracker = build(film.rig, film.before, Settings())
     shift = np.array([0.3, -0.2])
     turn = apparent_turn(np.vstack([np.tile(shift, (3, 1)), [np.nan, np.nan]]), tracker)
@@ -104,9 +104,7 @@ def test_a_shift_of_the_image_appears_as_a_turn_of_the_ball_if_it_is_small(name,
 
 
 @pytest.mark.parametrize("grey", [False, True])
-@pytest.mark.parametrize("name", ["near", "far"])
-def test_a_pushed_camera(name, grey, request):
-    film = request.getfixturevalue(name)
+def test_a_pushed_camera(film, grey):
     image = cv2.cvtColor(film.pushed[0], cv2.COLOR_BGR2GRAY) if grey else film.pushed[0]
     watch = film.watch(grey)
     _, odd = watching.check_next_target(watch, image, 0.1, bump_suspected=True)

@@ -204,7 +204,7 @@ def test_nees_of_runs_drawn_from_the_own_model():
 
 @pytest.mark.parametrize(
     ("sigma", "updates"),
-    [(SIGMA, 1000), (1e-9, 1000), *(pytest.param(s, 5000, marks=pytest.mark.slow) for s in (SIGMA, 1e-9))],
+    [(1e-9, 1000), *(pytest.param(s, 5000, marks=pytest.mark.slow) for s in (SIGMA, 1e-9))],
 )
 def test_covariance_stays_symmetric_and_positive(sigma, updates):
     """Random attitudes in small steps, random subsets of the discs, pose and ball considered; down to float noise."""

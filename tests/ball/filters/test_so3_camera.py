@@ -115,7 +115,7 @@ def test_errors_of_pose_and_ball_are_in_the_covariance():
     assert np.all((low < squares) & (squares < high))
     assert used > 0.8
     ignorant = with_errors(consider, considered=np.zeros((10, 10)))
-    squares, _ = played(ignorant, rig, pose, errors[:20], rng)
+    squares, _ = played(ignorant, rig, pose, errors[:8], rng)
     assert squares[0] > 20.0 * high  # far outside: measured 150 to 230 where 3 is right
     assert squares[1] > 1.5 * high
 
