@@ -10,8 +10,6 @@ import pytest
 
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose, project_circle, reduced_to_pixel, sphere_outline
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop, render_layers
@@ -448,8 +446,7 @@ def test_events_are_written_with_the_truth(tmp_path):
         size=(64, 48), motion="still", seconds=0.4, fps=10.0, bump=0.15, disc_moved=0.25, lift=0.05, lift_seconds=0.2
     )
     simulation = prepare(options)
-    for _ in write_simulation(tmp_path / "set", simulation):
-        pass
+    assert list(write_simulation(tmp_path / "set", simulation)) == [1, 2, 3, 4]
     scene = json.loads((tmp_path / "set" / "scene.json").read_text())
     assert scene["truth_bump"]["t"] == 0.15
     assert np.allclose(scene["truth_bump"]["T_obj_cam"], simulation.changes[0].scene.pose.matrix())
@@ -459,8 +456,6 @@ def test_events_are_written_with_the_truth(tmp_path):
     with (tmp_path / "set" / "truth.csv").open() as file:
         height = [float(row["by"]) for row in csv.DictReader(file)]
     assert height == pytest.approx([0.0, 0.0266, 0.0266, 0.0], abs=0.004)
-    recording = open_dataset(tmp_path / "set")
-    assert recording.frames == len(list(read_frames(recording))) == 4
 
 
 def test_simulate_gives_the_frames_it_promises_and_the_same_again():

@@ -26,7 +26,6 @@ from spheremouse.geometry.camera import InteriorOrientation, fold_in_picture, pr
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball import board
 from spheremouse.simulate.ball.stills import (
-    Photo,
     StillsOptions,
     board_stations,
     device_stations,
@@ -55,17 +54,6 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("practice") / "set"
     practice(path, photos=2, boards=1, size="1280x720", seed=2)
     return path
-
-
-@pytest.fixture(scope="module")
-def taken(evening, folder):
-    poses = {f"device/device_{k}": pose for k, pose in enumerate(evening.device_poses)}
-    poses |= {f"board/chess_{k:02d}": pose for k, pose in enumerate(evening.board_poses)}
-    return [Photo(name, cv2.imread(str(folder / f"{name}.jpg")), pose) for name, pose in poses.items()]
-
-
-def of_kind(taken, kind):
-    return [photo for photo in taken if photo.name.startswith(kind)]
 
 
 def pattern(camera, pose, uv):
@@ -127,13 +115,14 @@ def test_the_boards_fill_the_picture_aslant_and_turned():
     assert np.ptp(turns) > 180.0
 
 
-def test_targets_are_found_where_they_are(evening, taken):
+def test_targets_are_found_where_they_are(evening, folder):
     rig, off = evening.scene.rig(), []
-    for photo in of_kind(taken, "device/"):
-        found = detect_targets(photo.image, rig.targets.radii, RingSettings())
-        true = predict_targets(photo.pose, rig)
-        seen = seen_targets(replace(evening.scene, pose=photo.pose))
-        assert set(found.codes) >= {rig.targets.codes[k] for k in np.flatnonzero(seen)}
+    for k, pose in enumerate(evening.device_poses):
+        image = cv2.imread(str(folder / f"device/device_{k}.jpg"))
+        found = detect_targets(image, rig.targets.radii, RingSettings())
+        true = predict_targets(pose, rig)
+        seen = seen_targets(replace(evening.scene, pose=pose))
+        assert set(found.codes) >= {rig.targets.codes[i] for i in np.flatnonzero(seen)}
         assert np.sum(seen) >= 3
         off += [c - true[rig.targets.codes.index(code)] for code, c in zip(found.codes, found.centre, strict=True)]
     assert rms(off) < 0.05

@@ -55,16 +55,16 @@ class BoardCoverage(NamedTuple):
     dark: Array  # (n,) black share of that
 
 
-def render_board(scene: Scene, pose: Pose) -> NDArray[np.float32]:
-    """The board in an empty room through the scene's camera at `pose`, (h, w, 3) grey values."""
-    camera = scene.camera
+def render_board(scene: Scene) -> NDArray[np.float32]:
+    """The board in an empty room through the scene's camera, (h, w, 3) grey values."""
+    camera, pose = scene.camera, scene.pose
     light = Lighting(LAMPS, (), 1e-3)
     # the room without ball and device, coarsely
     w, h = -(-camera.width // _BACKGROUND_STEP_PX), -(-camera.height // _BACKGROUND_STEP_PX)
     sx, sy = w / camera.width, h / camera.height
     cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
     small = replace(camera, width=w, height=h, fx=camera.fx * sx, fy=camera.fy * sy, cx=cx, cy=cy)
-    behind = replace(scene, camera=small, pose=pose, surroundings=tuple(room()), lighting=light)
+    behind = replace(scene, camera=small, surroundings=tuple(room()), lighting=light)
     coarse = render_backdrop(behind, ball=False).white
     picture = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR).astype(np.float32)
 

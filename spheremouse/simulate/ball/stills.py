@@ -240,7 +240,6 @@ class Stills:
 class Photo(NamedTuple):
     name: str  # in its folder: device/device_0 or board/chess_00, without ending
     image: NDArray[np.uint8]  # (h, w, 3) blue, green, red
-    pose: Pose  # of the camera, obj
 
 
 def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) -> Stills:
@@ -256,12 +255,12 @@ def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) ->
 def photos(stills: Stills) -> Iterator[Photo]:
     """All pictures, those of the device first."""
     rng = np.random.default_rng([stills.seed, 4])
-    for k, pose in enumerate(stills.device_poses):
-        picture = device_picture(replace(stills.scene, pose=pose))
-        yield Photo(f"device/device_{k}", _expose(picture, stills.noise, rng), pose)
-    for k, pose in enumerate(stills.board_poses):
-        picture = board.render_board(stills.scene, pose)
-        yield Photo(f"board/chess_{k:02d}", _expose(picture, stills.noise, rng), pose)
+    places = [(f"device/device_{k}", device_picture, pose) for k, pose in enumerate(stills.device_poses)]
+    places += [(f"board/chess_{k:02d}", board.render_board, pose) for k, pose in enumerate(stills.board_poses)]
+    for name, render, pose in places:
+        sharp = render(replace(stills.scene, pose=pose))
+        blurred = np.asarray(cv2.GaussianBlur(sharp, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
+        yield Photo(name, quantise(blurred, stills.noise, rng))
 
 
 def device_picture(scene: Scene) -> NDArray[np.float32]:
@@ -310,8 +309,3 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
         surroundings=(*frame(device.targets, _BOLT_OVER_DISC * device.disc_radius), *room()),
         lighting=Lighting(LAMPS, STRIPS, device.ball_radius),
     )
-
-
-def _expose(picture: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Through the lens' blur, with noise, in bytes."""
-    return quantise(np.asarray(cv2.GaussianBlur(picture, (0, 0), _LENS_SIGMA_PX), dtype=np.float32), noise, rng)
