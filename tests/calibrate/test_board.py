@@ -1,13 +1,12 @@
 """The board, and what a calibration writes."""
 
-import shlex
 from pathlib import Path
 
 import pytest
 
 from spheremouse.calibrate import board
 from spheremouse.calibrate.board import NAME, Pattern, board_options, known_board, load_board, save_board
-from spheremouse.calibrate.outputs import check_outputs, copyable
+from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.errors import CalibrationError, ConfigurationError
 
 
@@ -87,8 +86,3 @@ def test_folder_that_may_not_be_written_is_refused_beforehand(cabinet, monkeypat
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
     with pytest.raises(CalibrationError, match="may not be written"):
         check_outputs([cabinet / "rig.yaml"], [], force=False)
-
-
-def test_commands_survive_a_shell():
-    words = ["spheremouse", "run", "--rig", Path("Kamera Ü ñ/it's.yaml")]
-    assert shlex.split(copyable(*words)) == [str(w) for w in words]

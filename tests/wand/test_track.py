@@ -12,7 +12,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.simulate.wand.room import Passing
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.build import build
-from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
+from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, SecondBall
 from spheremouse.wand.settings import ColourSettings, WandSettings
 from spheremouse.wand.state import WandPose
 from spheremouse.wand.track import begin, step
@@ -175,16 +175,6 @@ def test_nees_of_a_small_ball_at_a_high_frame_rate(seed):
     assert np.mean(nees) < 2.0
     assert abs(off[:, 2].mean()) < 0.01
     assert np.abs(off[:, 2]).max() < 0.05
-
-
-def test_event_without_a_ball_in_view():
-    camera, balls, _ = film(replace(HAND, seconds=0.1))
-    tracker = build(camera, balls)
-    image = np.full((480, 640, 3), 120, dtype=np.uint8)
-    image[100:110, 100:110], image[200:210, 300:310] = (200, 60, 30), (30, 30, 200)
-    (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker).state.poses
-    assert pose.phase == Status.SEARCHING
-    assert pose.event == NotInView("grzonka")
 
 
 def test_events_of_bounds_that_match_nothing_or_everything(hand):

@@ -27,7 +27,7 @@ def poses():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, poses):
-    path = tmp_path_factory.mktemp("board")
+    path = tmp_path_factory.mktemp("Kamera Ü, it's a board")
     rng = np.random.default_rng(1)
     for k, (R, t) in enumerate(zip(*poses, strict=True)):
         cv2.imwrite(str(path / f"view_{k}.png"), picture(R, t, rng=rng, noise=1.5))

@@ -235,17 +235,6 @@ def test_the_same_side_is_taken_once_unless_it_is_from_nearer(stills, pictures_d
 
 
 @pytest.mark.slow
-def test_what_moves_or_is_blurred_is_refused(stills, pictures_device):
-    selector = selector_of_device(stills)
-    assert "hold still" in selector.check(pictures_device[0]).words
-    assert "moves by 4 px" in selector.check(np.roll(pictures_device[0], 4, axis=1)).words
-    assert looked(selector, pictures_device[0]).gain == "the first"
-    blurred = looked(selector, cv2.GaussianBlur(pictures_device[0], (0, 0), 1.5))
-    assert not blurred.gain
-    assert re.search(r"blurred \(edges of 1\.\d px, 0\.4 px at best\)", blurred.words)
-
-
-@pytest.mark.slow
 def test_too_few_targets_another_device_and_a_mirrored_picture_are_named(stills, pictures_device):
     selector = selector_of_device(stills, *pictures_device[:2])
     assert "0 of 4 targets found" in looked(selector, np.full_like(pictures_device[0], 90)).words
