@@ -34,11 +34,9 @@ class Fetched:
         self.stamp, self.sequence = frame.stamp, frame.sequence
 
     def frame(self, colour: bool) -> Frame:
-        """Return the decoded frame, in colour or not."""
         return self._frame
 
     def payload(self) -> Payload:
-        """Return the decoded image."""
         image = self._frame.image
         height, width = image.shape[:2]
         return Payload("grey" if image.ndim == 2 else "bgr", width, height, image.reshape(-1).data)
@@ -83,7 +81,6 @@ class Streamed:
         return now - frame.stamp - self._offset > _MAX_LAG_S
 
     def describe(self) -> str:
-        """Return name and rate."""
         return self._name if self._source.fps is None else f"{self._name}, {self._source.fps:g} frames/s"
 
     def __enter__(self) -> Self:

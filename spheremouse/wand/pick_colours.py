@@ -161,8 +161,11 @@ def find_ball(image: NDArray[np.uint8], ball: WandBall) -> Circle:
                 return Circle(camera.cx + focal * x / z, camera.cy + focal * y / z, radius)
             if state.tracks[0].next_spot == 0:
                 break
+    light, brightness = "", picture_colours(image, DEFAULT_COLOURS, ("light",)).mean
+    if brightness < _MAX_DARK_BRIGHTNESS:
+        light = f"the picture is dark (mean brightness {brightness:.0f} of 255): give more light or a longer exposure, "
     raise ConfigurationError(
-        f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; {_advice(image)}"
+        f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; {light}"
         "turn two discs of each colour to the camera, or give its place with --at U,V,RADIUS (px)"
     )
 
@@ -174,14 +177,6 @@ def _wide_bounds(name: str, saturation: float) -> ColourSettings:
     _check_name(name)
     low, high = ((HUES[name] + by) % 360.0 for by in (-_WIDE_HUE, _WIDE_HUE))
     return ColourSettings(hue_min=low, hue_max=high, saturation_min=saturation, value_min=_MIN_VALUE)
-
-
-def _advice(image: NDArray[np.uint8]) -> str:
-    """Return the beginning of an advice about a dark picture, or an empty string."""
-    brightness = picture_colours(image, DEFAULT_COLOURS, ("light",)).mean
-    if brightness < _MAX_DARK_BRIGHTNESS:
-        return f"the picture is dark (mean brightness {brightness:.0f} of 255): give more light or a longer exposure, "
-    return ""
 
 
 def _check_circle(circle: Circle, image: NDArray[np.uint8]) -> Circle:

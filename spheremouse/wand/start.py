@@ -55,32 +55,29 @@ class Hypotheses:
 
 def find_spots(fields: Fields) -> Spots:
     """Return the connected areas of the binary pictures that can be discs, the largest first."""
-    rows = []
-    f = fields.factor
+    found = [np.zeros((0, 4))]
     for c, binary in enumerate(fields.binary):
         areas, _, _ = kernels.connected_areas(binary, diagonal=False)
         area, box_area = areas[:, _AREA], areas[:, _WIDTH] * areas[:, _HEIGHT]
         good = (area >= _MIN_SPOT_AREA) & (area <= binary.size / 8) & (area >= _MIN_BOX_FRACTION * box_area)
-        for u, v, size in zip(*((areas[good, _CENTRE] + 0.5) * f - 0.5).T, area[good], strict=True):
-            rows.append((u + fields.left, v + fields.top, size * f * f, c))
-    rows.sort(key=lambda row: -row[2])
-    table = np.array(rows[:_MAX_SPOTS], dtype=float).reshape(-1, 4)
-    return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64), _glare_spots(fields))
+        found.append(np.column_stack([_in_picture(areas[good], fields), np.full(np.count_nonzero(good), c)]))
+    table = _largest(np.concatenate(found), _MAX_SPOTS)
+    glare = np.zeros((0, 3))
+    if len(fields.glare):
+        bright = np.where(fields.glare[0] > 127, np.uint8(255), np.uint8(0))
+        areas, _, _ = kernels.connected_areas(bright, diagonal=True)
+        glare = _largest(_in_picture(areas, fields), _MAX_GLARE_SPOTS)
+    return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64), glare)
 
 
-def _glare_spots(fields: Fields) -> Array:
-    """Return the areas of glare, (m, 3): u, v px, area px², in pixels of the whole picture.
+def _in_picture(areas: Array, fields: Fields) -> Array:
+    """Return connected areas of fields, (n, 3): u, v px, area px², in pixels of the whole picture."""
+    place = (areas[:, _CENTRE] + 0.5) * fields.factor - 0.5 + [fields.left, fields.top]
+    return np.column_stack([place, areas[:, _AREA] * fields.factor * fields.factor])
 
-    They are at most `_MAX_GLARE_SPOTS`, the largest first.
-    """
-    if len(fields.glare) == 0:
-        return np.zeros((0, 3))
-    f = fields.factor
-    areas, _, _ = kernels.connected_areas(np.where(fields.glare[0] > 127, np.uint8(255), np.uint8(0)), diagonal=True)
-    area = areas[:, _AREA]
-    place = (areas[:, _CENTRE] + 0.5) * f - 0.5 + [fields.left, fields.top]
-    largest = np.argsort(-area, kind="stable")[:_MAX_GLARE_SPOTS]
-    return np.column_stack([place, area * f * f])[largest]
+
+def _largest(spots: Array, most: int) -> Array:
+    return spots[np.argsort(-spots[:, 2], kind="stable")[:most]]
 
 
 def pose_hypotheses(

@@ -214,13 +214,12 @@ def _where_gradients_meet(
     """Corners in the plane, (n, 2) m; nan if they leave their window."""
     low, high = _boxes(start, reach, camera, R, t)
     low, high = np.floor(low).astype(int), np.ceil(high).astype(int) + 1
-    u, v, owner = [], [], []
-    for i, ((u0, v0), (u1, v1)) in enumerate(zip(low, high, strict=True)):
-        pixels = np.mgrid[max(v0, 0) : min(v1, grey.shape[0]), max(u0, 0) : min(u1, grey.shape[1])].reshape(2, -1)
-        v.append(pixels[0])
-        u.append(pixels[1])
-        owner.append(np.full(pixels.shape[1], i))
-    u, v, owner = np.concatenate(u), np.concatenate(v), np.concatenate(owner)
+    windows = [
+        np.mgrid[max(v0, 0) : min(v1, grey.shape[0]), max(u0, 0) : min(u1, grey.shape[1])].reshape(2, -1)
+        for (u0, v0), (u1, v1) in zip(low, high, strict=True)
+    ]
+    owner = np.repeat(np.arange(len(windows)), [window.shape[1] for window in windows])
+    v, u = np.concatenate(windows, axis=1)
     place, slope = _on_plane(np.stack([u, v], axis=1).astype(float), camera, R, t)
     near = np.abs(place - start[owner]).max(axis=1) < 1.5 * reach[owner]  # nan: False
     gu, gv = (g[v, u].astype(float) for g in _gradient(grey))

@@ -43,7 +43,6 @@ class BoardSelector(Selector[Sighting]):
 
     @property
     def coverage(self) -> Coverage:
-        """Coverage of the views so far."""
         return coverage(self.size, self._corners, self._rotations)
 
     @property
@@ -52,11 +51,9 @@ class BoardSelector(Selector[Sighting]):
 
     @property
     def enough(self) -> bool:
-        """True for all regions, all tilts, and enough views."""
         return enough(self.coverage)
 
     def detect(self, picture: Image, *, quick: bool) -> Sighting:
-        """Find the board in a picture, of reduced size if `quick`."""
         return find_board(picture, self.pattern, _QUICK_SEARCH if quick else MAX_SEARCHED_PX)
 
     def fault(self, seen: Sighting) -> str:
@@ -71,7 +68,6 @@ class BoardSelector(Selector[Sighting]):
         return f"come closer: {words}" if share < _MIN_SHARE else words
 
     def gain(self, seen: Sighting) -> tuple[str, str]:
-        """Return the regions and tilts that a view adds, or an empty text and the reason for none."""
         R, _, _ = resect_views([view_of(seen, self.pattern)], self._camera)
         new = gain(self.coverage, self.size, seen.uv, R[0], self._corners)
         return new or "", "such a view is there already"
@@ -93,7 +89,6 @@ class BoardSelector(Selector[Sighting]):
         return missing(self.coverage)
 
     def status(self) -> list[str]:
-        """Return lines with the numbers of views by region and tilt."""
         covered = self.coverage
         lines = ["".join(f"{count or '·':>3}" for count in row) for row in covered.regions]
         lines[0] += f"   {covered.views} photos, {VIEWS} or more wanted"

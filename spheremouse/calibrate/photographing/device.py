@@ -66,7 +66,6 @@ class DeviceSelector(Selector[TargetDetections]):
         return f"{len(set(seen.codes) & set(self._device.codes))} of {len(self._device.codes)} targets"
 
     def resume(self, read: Callable[[], Image]) -> bool:
-        """Count an existing photo with three targets; return False for another."""
         counts = super().resume(read)
         self._resumed += counts
         return counts

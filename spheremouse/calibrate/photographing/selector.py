@@ -97,7 +97,7 @@ class Selector(ABC, Generic[S]):
             return FrameCheck(seen, f"{words}; {known}")
         seen = self.detect(picture, quick=False)  # as the calibration does
         hindrance = self.fault(seen) or self._blur(picture, self.points(seen)[1])
-        return FrameCheck(seen, f"{words}; {hindrance}", "") if hindrance else FrameCheck(seen, words, new)
+        return FrameCheck(seen, f"{words}; {hindrance}") if hindrance else FrameCheck(seen, words, new)
 
     def resume(self, read: Callable[[], Image]) -> bool:
         """Count an existing photo; return False if it shows nothing of use."""

@@ -103,7 +103,6 @@ class JsonScreen(Screen):
         self._picture, self._due = picture, 0.0
 
     def print(self, text: str) -> None:
-        """Print a line as {"text": ...}."""
         print(json.dumps({"text": text}), flush=True)
 
     conclude = print
