@@ -55,7 +55,7 @@ class _Points:
         """Number of photos that show each."""
         return np.sum(np.isfinite(self.cosine), axis=1)
 
-    def take(self, keep: NDArray[np.bool_]) -> "_Points":
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "_Points":
         return _Points(self.position[keep], self.towards[keep], self.cosine[keep])
 
 
@@ -214,11 +214,7 @@ def _disc_like(points: _Points) -> NDArray[np.bool_]:
 
 def _firmest(points: _Points) -> _Points:
     """The points that most photos see, if there are too many."""
-    if len(points.position) <= _MAX_POINTS:
-        return points
-    keep = np.zeros(len(points.position), dtype=bool)
-    keep[np.argsort(-points.support, kind="stable")[:_MAX_POINTS]] = True
-    return points.take(keep)
+    return points.take(np.sort(np.argsort(-points.support, kind="stable")[:_MAX_POINTS]))
 
 
 def has_wide_rays(poses: Sequence[Pose], points: Array) -> bool:

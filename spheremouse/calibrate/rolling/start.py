@@ -254,20 +254,15 @@ def _informative_pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _P
     # the best of each part of the time, so that all directions of rolling count
     parts = np.array_split(np.arange(len(scored)), min(_MAX_PAIRS, len(scored))) if scored else []
     chosen = [max(scored[i] for i in part) for part in parts]
-    most = max((int(np.isfinite(at[g, :, 0] + at[f, :, 0]).sum()) for _, f, g in chosen), default=0)
-    before, after = np.zeros((len(chosen), most, 3)), np.zeros((len(chosen), most, 3))
-    before[..., 2] = after[..., 2] = 1.0
-    valid = np.zeros((len(chosen), most), dtype=bool)
-    path = np.zeros((len(chosen), most), dtype=np.intp)
-    for k, (_, f, g) in enumerate(chosen):
-        common = np.flatnonzero(np.isfinite(at[g, :, 0] + at[f, :, 0]))
-        before[k, : len(common)], after[k, : len(common)] = (
-            _unit_rays(at[f, common], camera),
-            _unit_rays(at[g, common], camera),
-        )
-        valid[k, : len(common)], path[k, : len(common)] = True, common
-    valid &= np.isfinite(before[..., 0] + after[..., 0])
-    return _Pairs(np.nan_to_num(before), np.nan_to_num(after), valid, path)
+    first, second = np.array([pair[1:] for pair in chosen], dtype=int).reshape(-1, 2).T
+    common = np.isfinite(at[first, :, 0] + at[second, :, 0])
+    path = np.argsort(~common, axis=1, kind="stable")[:, : common.sum(axis=1).max(initial=0)]  # the common ones first
+    before, after = (
+        _unit_rays(at[frame[:, None], path].reshape(-1, 2), camera).reshape(*path.shape, 3) for frame in (first, second)
+    )
+    present = np.isfinite(before[..., 0] + after[..., 0])
+    before, after = (np.where(present[..., None], rays, [0.0, 0.0, 1.0]) for rays in (before, after))
+    return _Pairs(before, after, present, path)
 
 
 def _unit_rays(uv: Array, camera: InteriorOrientation) -> Array:

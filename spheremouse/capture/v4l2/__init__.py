@@ -8,7 +8,7 @@ and their numbers have a gap.
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
@@ -208,27 +208,23 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
 
     name, settings = parse(argument, settings)
     device = Device(find(name))
-    try:
-        controls = read_controls(device.fd, device.path)
-        mode = device.negotiate(settings)
-        changes = controls.apply(settings)
+    with ExitStack() as undo:
+        undo.callback(device.close)
         try:
+            controls = read_controls(device.fd, device.path)
+            mode = device.negotiate(settings)
+            changes = controls.apply(settings)
+            undo.callback(controls.restore)
             device.start(BUFFERS)
             words = f"{device.path} ({device.card}, {device.driver}, {len(device.buffers)} buffers)"
             name = persistent_name(device.path)
             words += f", persistent name {name}" if name else ""
             words += f", set {', '.join(changes)}" if changes else ""
-            return V4L2Camera(device, controls, mode, settings, words)
-        except BaseException:
-            controls.restore()
-            raise
-    except OSError as e:
-        failure = device.failure(e)
-        device.close()
-        raise failure from None
-    except BaseException:
-        device.close()
-        raise
+            camera = V4L2Camera(device, controls, mode, settings, words)
+        except OSError as e:
+            raise device.failure(e) from None
+        undo.pop_all()
+        return camera
 
 
 def check(argument: str) -> None:
