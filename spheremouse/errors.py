@@ -21,6 +21,11 @@ def one_line(text: str) -> str:
     return " ".join(text.split())[:120]
 
 
+def format_count(n: int, noun: str) -> str:
+    """Return a number with its noun, as in `1 frame` or `2 frames`."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
 def reason_of(error: Exception) -> str:
     """Return the message of an error in one line, or the name of its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
-from spheremouse.errors import ConfigurationError, os_errors_as
+from spheremouse.errors import ConfigurationError, format_count, os_errors_as
 
 if TYPE_CHECKING:
     from io import BufferedWriter
@@ -44,7 +44,7 @@ def export(
         with NewFile(out) as new:
             frames = _write(new.file, plan)
         size = out.stat().st_size
-    print(f"{out}: {frames} frame{'' if frames == 1 else 's'}, {size / 1e6:.1f} MB")
+    print(f"{out}: {format_count(frames, 'frame')}, {size / 1e6:.1f} MB")
 
 
 def _write(file: "BufferedWriter", plan: "RunConfig") -> int:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse import __version__
-from spheremouse.errors import printable
+from spheremouse.errors import format_count, printable
 from spheremouse.finding import Finding, Verdict
 
 FORMAT = 1  # of the data
@@ -51,9 +51,10 @@ def summary(sections: Sequence[Section]) -> Text:
     verdicts = [f.verdict for s in sections for f in s.findings]
     wrong, warnings = verdicts.count(Verdict.WRONG), verdicts.count(Verdict.WARNING)
     if wrong:
-        return Text(f"{wrong} wrong, {_warnings_text(warnings)}: mend the faults first, from the top", style="bold red")
+        words = f"{wrong} wrong, {format_count(warnings, 'warning')}: mend the faults first, from the top"
+        return Text(words, style="bold red")
     if warnings:
-        return Text(f"nothing wrong, {_warnings_text(warnings)}", style="bold yellow")
+        return Text(f"nothing wrong, {format_count(warnings, 'warning')}", style="bold yellow")
     return Text("all is well", style="bold green")
 
 
@@ -92,7 +93,3 @@ def _words(finding: Finding, console: Console) -> Text:
 def _draws(console: Console) -> bool:
     """Return whether the terminal shows more than ASCII."""
     return (console.encoding or "").lower().replace("-", "").startswith("utf")
-
-
-def _warnings_text(n: int) -> str:
-    return f"{n} warning{'' if n == 1 else 's'}"

@@ -8,6 +8,7 @@ import typer
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
+from spheremouse.errors import format_count
 from spheremouse.simulate.ball.options import SimulationOptions
 
 
@@ -28,11 +29,11 @@ def simulate(
 
     film = prepare(options)
     megabytes = write_film(folder, film.frames, write_simulation(folder, film, replace=force))
-    (width, height), discs = options.size, options.disc_count
+    width, height = options.size
     pattern = "" if options.pattern is None else f"pattern {options.pattern}, "
     print(
-        f"{folder}: {film.frames} frame{_s(film.frames)} of {width}x{height} at {options.fps:g} Hz, "
-        f"{pattern}{discs} disc{_s(discs)}, motion {options.motion}; {megabytes:.1f} MB"
+        f"{folder}: {format_count(film.frames, 'frame')} of {width}x{height} at {options.fps:g} Hz, "
+        f"{pattern}{format_count(options.disc_count, 'disc')}, motion {options.motion}; {megabytes:.1f} MB"
     )
 
 
@@ -43,7 +44,3 @@ def write_film(folder: Path, frames: int, steps: Iterable[int]) -> float:
         for done in steps:
             bar.update(task, completed=done)
     return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / 1e6
-
-
-def _s(n: int) -> str:
-    return "" if n == 1 else "s"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse.commands.options import Assignments, ConfigFile
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, format_count
 
 if TYPE_CHECKING:
     from spheremouse.session.tune import Tuning
@@ -61,7 +61,7 @@ def tune(
             progress.update(task, completed=count, description=f"tuning: cost {100 * relative_cost:.0f} % of now")
 
         found = tune(open_dataset(recording), settings, seconds, trials, seed, show)
-    print(f"{found.trials} trial{'' if found.trials == 1 else 's'}")
+    print(format_count(found.trials, "trial"))
     if not found.better:
         print(f"nothing changed: {_reason(found)}")
         return

@@ -21,11 +21,10 @@ from spheremouse.calibrate.guide.folder import (
     RIG_FILE,
     Photos,
     Result,
-    count,
 )
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH, DEVICE_MOST
-from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError, format_count
 from spheremouse.files.calibration_folder import DEFAULT
 from spheremouse.files.device import UNTOUCHED, is_untouched, load_device
 from spheremouse.files.yaml import shown
@@ -195,7 +194,7 @@ def _device_file_step(folder: Path, overtaken: bool, otherwise: Otherwise) -> St
         )
         return Step(DEVICE_FILE, _open_state(overtaken), "not filled in yet", todo, otherwise=otherwise)
     n = len(device.distances)
-    measured = count(n, "distance") if n else "no distances: the scale is free"
+    measured = format_count(n, "distance") if n else "no distances: the scale is free"
     return Step(DEVICE_FILE, "done", f"{len(device.ids)} targets, {measured}")
 
 
@@ -226,7 +225,7 @@ def _rig_step(folder: Path, rig: Result | None, photos: Photos) -> Step:
     command = (cabinet.device_command if photos.photos else cabinet.rolling_command)(folder, again=True)
     warnings = rig.provenance.get("warnings")
     n = len(warnings) if isinstance(warnings, tuple) else 0
-    remark = f"; {count(n, 'warning')} in its report" if n else ""
+    remark = f"; {format_count(n, 'warning')} in its report" if n else ""
     return _made_step(rig, "; ".join(filter(None, changes)), "device", command, remark)
 
 

@@ -14,7 +14,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.board import board_options
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.capture.nodes import default_camera, in_size
-from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError, format_count
 from spheremouse.files.calibration_folder import (
     BOARD,
     CAMERA_FILE,
@@ -51,7 +51,7 @@ class Photos:
         if not self.photos:
             return "none yet"
         width, height = self.photos[0].size
-        return f"{count(len(self.photos), 'photo')} of {width}x{height} in {self.folder}"
+        return f"{format_count(len(self.photos), 'photo')} of {width}x{height} in {self.folder}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +80,9 @@ class Result:
         used, present = self.hashes("photos"), {p.sha256 for p in photos}
         new = len(present - used - self.hashes("left_out")) if used else 0
         removed = len(used - present) if used & present else 0
-        words = [f"{count(new, 'photo')} came later"] if new else []
-        words += (
-            [f"{count(removed, 'photo')} it was made from {'is' if removed == 1 else 'are'} gone"] if removed else []
-        )
+        words = [f"{format_count(new, 'photo')} came later"] if new else []
+        if removed:
+            words.append(f"{format_count(removed, 'photo')} it was made from {'is' if removed == 1 else 'are'} gone")
         return ", ".join(words)
 
 
@@ -122,7 +121,7 @@ def _result(path: Path, load: Callable[[Path], InteriorOrientation | Rig]) -> Re
     if isinstance(content, Rig):
         camera = content.camera
         size = "scale free" if content.scale_free else f"ball of {content.ball.radius:.3f} m radius"
-        words = f"{size}, {count(len(content.targets.ids), 'target')}"
+        words = f"{size}, {format_count(len(content.targets.ids), 'target')}"
     else:
         camera, words = content, f"{content.width}x{content.height}, focal length {content.fx:.1f} px"
     data = read_document(path).data
@@ -166,11 +165,6 @@ def read_config(folder: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ConfigurationError(f"{path}: must be lines like `motion: ...`")
     return data
-
-
-def count(n: int, thing: str) -> str:
-    """Return a number with its noun."""
-    return f"{n} {thing}{'' if n == 1 else 's'}"
 
 
 # ---- commands for the folder, ready to copy into a terminal ----

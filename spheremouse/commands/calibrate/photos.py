@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from spheremouse.commands.options import Corners, Dictionary, Marker, Square
-from spheremouse.errors import CalibrationError
+from spheremouse.errors import CalibrationError, format_count
 
 if TYPE_CHECKING:
     from spheremouse.calibrate.board import Pattern
@@ -202,7 +202,7 @@ def _conclusion(
     """
     (next_command, repeat_command), selector = commands, outcome.selector
     count = 0 if selector is None else selector.count
-    photos = f"{count} photo{'' if count == 1 else 's'}"
+    photos = format_count(count, "photo")
     if selector is not None and selector.enough:
         yield f"{place}: {photos}, which is enough"
         yield f"next: {next_command}"

@@ -13,7 +13,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.capture import Camera, RawFrame, Source, open_source
 from spheremouse.capture.fetch import Fetched
 from spheremouse.capture.lock import locked
-from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
+from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError, format_count
 from spheremouse.finding import Finding, Verdict, classify, unchecked, wrong
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.run_config import RunConfig
@@ -243,7 +243,7 @@ def rate(footage: Footage) -> Finding:
     n, promised, live = len(footage.stamps), footage.fps, footage.live
     span = float(footage.stamps[-1] - footage.stamps[0])
     if n < _MIN_FRAMES:
-        text = f"no more than {n} frame{'' if n == 1 else 's'} in {span:.1f} s"
+        text = f"no more than {format_count(n, 'frame')} in {span:.1f} s"
         if not live:
             return unchecked("rate", f"{text}: the recording is short, or slow", frames=n)
         return wrong("rate", text, "see cable, hub and power, and a fixed, shorter exposure", frames=n)

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from spheremouse import __version__
+from spheremouse.errors import format_count
 from spheremouse.finding import Finding, Verdict, classify, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
@@ -93,7 +94,7 @@ def load() -> Finding:
     cores, now = os.cpu_count() or 1, os.getloadavg()[0]
     return classify(
         "load",
-        f"{now:.1f} programs busy on {cores} core{'' if cores == 1 else 's'}",
+        f"{now:.1f} programs busy on {format_count(cores, 'core')}",
         (now > cores, Verdict.WARNING, "", "end other programs: `top` lists them"),
         load=round(now, 2),
         cores=cores,

@@ -22,7 +22,7 @@ from typing import Any
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import View
-from spheremouse.errors import SpheremouseError
+from spheremouse.errors import SpheremouseError, reason_of
 from spheremouse.output.rate_limited_logger import strip_digits
 
 _MENU_REFRESH_S = 10.0  # if only numbers have changed: each update closes an open menu
@@ -75,7 +75,7 @@ class Tray:
             self._icon.run(self._ready)
         except Exception as e:  # pystray withdraws notices at the end, which fails without a notification service
             if not self._closing.is_set():
-                raise TrayError(f"{backend}: {' '.join(str(e).split())}") from None
+                raise TrayError(f"{backend}: {reason_of(e)}") from None
         finally:
             self._link.close()
 
@@ -161,8 +161,7 @@ def _library() -> tuple[Any, str]:
     try:
         pystray = importlib.import_module("pystray")
     except Exception as e:  # each of its libraries raises its own
-        reason = " ".join(str(e).split())[:200] or type(e).__name__
-        raise TrayError(f"no tray can be reached ({reason}); run {MENU_NEEDS}") from None
+        raise TrayError(f"no tray can be reached ({reason_of(e)[:200]}); run {MENU_NEEDS}") from None
     backend = pystray.Icon.__module__.rpartition("._")[2]
     if backend == "xorg":  # has no menu
         raise TrayError(f"the menu needs PyGObject; run {MENU_NEEDS}")

@@ -8,7 +8,7 @@ import typer
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.simulate import write_film
-from spheremouse.errors import ConfigurationError, os_errors_as
+from spheremouse.errors import ConfigurationError, format_count, os_errors_as
 from spheremouse.simulate.wand.options import WandOptions
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def simulate(
     megabytes = write_film(folder, film.frames, write_wand(folder, film, replace=force))
     camera = film.scene.camera
     print(
-        f"{folder}: {film.frames} frame{'' if film.frames == 1 else 's'} of {camera.width}x{camera.height} at "
+        f"{folder}: {format_count(film.frames, 'frame')} of {camera.width}x{camera.height} at "
         f"{film.fps:g} Hz, motion {options.motion}, ball {film.scene.balls[0].ball.name}; {megabytes:.1f} MB"
     )
     print(f"next: spheremouse evaluate {folder} --tracker wand")

@@ -12,7 +12,7 @@ import typer
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
-from spheremouse.errors import CalibrationError
+from spheremouse.errors import CalibrationError, format_count
 from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice trial --photos 8 --seed 1"
@@ -67,10 +67,9 @@ def practice(
             for _ in write_simulation(made / FILM, film):
                 bar.advance(task)
     what = "a practice device" if like is None else f"the device of {like}"
-    many = "photo" if options.photos == 1 else "photos"
     print(
-        f"{folder}: {options.photos} {many} of {what}, {options.boards} of the board, device.yaml, truth.json"
-        + ("" if film is None else f", a {FILM} of three gestures")
+        f"{folder}: {format_count(options.photos, 'photo')} of {what}, {options.boards} of the board, device.yaml, "
+        "truth.json" + ("" if film is None else f", a {FILM} of three gestures")
     )
     print(f"next: {camera_command(folder)}")
     print(f"then: {device_command(folder)}")
