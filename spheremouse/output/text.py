@@ -13,19 +13,11 @@ from typing import BinaryIO
 
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding, ok
-from spheremouse.output import OutputClosed, Report
+from spheremouse.output import OutputClosed, Report, log_file
 from spheremouse.output.lines import LineFormat, parse_address
-from spheremouse.output.log_file import (
-    BatchOutput,
-    check_file,
-    drop_unfinished_line,
-    probe_file,
-    refuse_other_files,
-    write_error,
-)
 
 
-class Text(BatchOutput):
+class Text(log_file.BatchOutput):
     """Writes reports as lines."""
 
     hang_hint = "its reader does not read"
@@ -54,7 +46,7 @@ class Text(BatchOutput):
             raise OutputClosed(self._name) from None
         except OSError as e:
             self._drop_unwritten()
-            raise write_error(self._name, e) from None
+            raise log_file.write_error(self._name, e) from None
 
     def _drop_unwritten(self) -> None:
         """Send the rest of the buffer to the null device; otherwise Python's flush at its exit prints an error."""
@@ -78,19 +70,19 @@ def open(argument: str) -> Text:
         return Text(sys.stdout.buffer, "standard output", form, at_once=True)
     path = Path(name)
     try:
-        refuse_other_files(path, form.start)
+        log_file.refuse_other_files(path, form.start)
         file = open_to_append(path)
-        drop_unfinished_line(path, file.fileno())
+        log_file.drop_unfinished_line(path, file.fileno())
         return Text(file, str(path), form, at_once=is_stream(path))
     except (OSError, ValueError) as e:
-        raise write_error(path, e) from None
+        raise log_file.write_error(path, e) from None
 
 
 def check(argument: str) -> None:
     """Raise OutputError if the argument is invalid, or if the file exists and is not such a log."""
     name, form = parse_address("text", argument)
     if name not in ("", "-"):
-        check_file(Path(name), form.start)
+        log_file.check_file(Path(name), form.start)
 
 
 def file_of(argument: str) -> Path | None:
@@ -104,4 +96,4 @@ def probe(argument: str) -> list[Finding]:
     path = file_of(argument)
     if path is None:
         return [ok("output", "text to standard output")]
-    return probe_file(path, "text")
+    return log_file.probe_file(path, "text")

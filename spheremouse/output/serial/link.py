@@ -8,22 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from spheremouse.output.serial.messages import (
-    ASK_STATUS,
-    IDENTITY,
-    STOP,
-    VERSION,
-    Ack,
-    Flags,
-    Identity,
-    Splitter,
-    Status,
-    encode,
-    hello,
-    motion,
-    parse,
-    to_signed,
-)
+from spheremouse.output.serial import messages
 
 STEP_LIMIT = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
 SILENCE = 0.1  # s without a MOTION, after which the device ends the session
@@ -64,7 +49,7 @@ class _Targets:
 
     def acknowledge(self, number: int, confirmed: list[int]) -> None:
         """Remove older targets than an answer's. The device may still be on the way to the answered one."""
-        while self._pending and to_signed(self._pending[0][0] - number) < 0:
+        while self._pending and messages.to_signed(self._pending[0][0] - number) < 0:
             self._pending.popleft()
         if self._pending and self._pending[0] == (number, confirmed, confirmed):
             self._pending.popleft()
@@ -82,9 +67,9 @@ class Link:
         # confirmed.
         self.written_off, self.uncertain = [0] * 4, [0] * 4
         self.buttons = 0
-        self.identity: Identity | None = None  # of the current or last session
-        self.status: Status | None = None
-        self.ack: Ack | None = None
+        self.identity: messages.Identity | None = None  # of the current or last session
+        self.status: messages.Status | None = None
+        self.ack: messages.Ack | None = None
         self.foreign_version: int | None = None  # of a device with another protocol
         self.running = False
         self.blocked_since: float | None = None  # s; None if no blockage was detected
@@ -93,7 +78,7 @@ class Link:
         self.breaks = 0  # sessions that the line or the device ended
         self.notices: deque[str] = deque(maxlen=100)  # lines to log
         self._draw_session, self._retry_interval = draw_session, _RETRY_BITS / baud
-        self._splitter = Splitter()
+        self._splitter = messages.Splitter()
         self._session = 0  # requested or current; 0: there is no port
         self._hello_time = 0.0
         # Counts at the session's start, and counters of the last ACK
@@ -145,7 +130,7 @@ class Link:
 
     def port_opened(self, now: float) -> bytes:
         """Begin on a port without waiting bytes; return the bytes to send first."""
-        self._splitter = Splitter()
+        self._splitter = messages.Splitter()
         self._begin(now)
         return b"\0"
 
@@ -158,17 +143,17 @@ class Link:
     def receive(self, data: bytes, now: float) -> None:
         """Process bytes that came from the device by `now` (s)."""
         for frame in self._splitter.take(data):
-            if frame.version != VERSION:
-                if frame.type == IDENTITY:
+            if frame.version != messages.VERSION:
+                if frame.type == messages.IDENTITY:
                     self.foreign_version = frame.version
                 continue
             self.last_answer = now
-            message = parse(frame)
-            if isinstance(message, Identity):
+            message = messages.parse(frame)
+            if isinstance(message, messages.Identity):
                 self._on_identity(message, now)
-            elif isinstance(message, Ack):
+            elif isinstance(message, messages.Ack):
                 self._on_ack(message, now)
-            elif isinstance(message, Status):
+            elif isinstance(message, messages.Status):
                 self.status = message
 
     # ---- to the port ----
@@ -180,7 +165,7 @@ class Link:
             if self._stop_requested:
                 self._stop_requested = self.running = False
                 self._session = 0
-                return encode(STOP, self._take_number(now))
+                return messages.encode(messages.STOP, self._take_number(now))
             oldest = min(self._in_flight.values(), default=now)
             if self._unanswered and now - max(self.last_answer, oldest) > _ANSWER_TIMEOUT:
                 self.breaks += 1
@@ -190,11 +175,11 @@ class Link:
         if not self.running:
             if self._session and now >= self._hello_time:
                 self._hello_time = now + _HELLO_INTERVAL
-                return hello(self._take_number(now), self._session)
+                return messages.hello(self._take_number(now), self._session)
             return None
         if self._status_requested:
             self._status_requested = False
-            return encode(ASK_STATUS, self._take_number(now))
+            return messages.encode(messages.ASK_STATUS, self._take_number(now))
         return self._next_motion(now)
 
     def _next_motion(self, now: float) -> bytes | None:
@@ -218,7 +203,7 @@ class Link:
         number = self._take_number(now)
         self._targets.add(number, target)
         counters = [s - b for s, b in zip(target, self._at_start, strict=True)]
-        return motion(number, counters, self.buttons)
+        return messages.motion(number, counters, self.buttons)
 
     def next_wait(self, now: float) -> float:
         """Return the time (s) until `next_frame` may return a frame without new input."""
@@ -294,7 +279,7 @@ class Link:
             self._session = self._draw_session()
         self._hello_time = now
 
-    def _on_identity(self, identity: Identity, now: float) -> None:
+    def _on_identity(self, identity: messages.Identity, now: float) -> None:
         """Begin the session that was requested, unless the answer is to an older request.
 
         The device's counters confirm what arrived in the last session. If it was started again, or another host has
@@ -321,23 +306,23 @@ class Link:
         self.running = True
         self.sessions += 1
 
-    def _on_ack(self, ack: Ack, now: float) -> None:
+    def _on_ack(self, ack: messages.Ack, now: float) -> None:
         if not self.running or not 0 < (ack.number - self._answered) & 0xFFFF <= self._unanswered:
             return  # of an older frame than the last answered one
         self.ack = ack
         self.acks += 1
-        if ack.flags & Flags.RUNNING and ack.flags & Flags.USB_READY:
+        if ack.flags & messages.Flags.RUNNING and ack.flags & messages.Flags.USB_READY:
             self.blocked_since = None
         elif self.blocked_since is None:
             self.blocked_since = now
-        if not ack.flags & Flags.RUNNING:
+        if not ack.flags & messages.Flags.RUNNING:
             self.breaks += 1
             self._begin(now)
             return
         if ack.number in self._in_flight:
             self._round_trips.append(now - self._in_flight[ack.number])
         self._answered = ack.number
-        for number in [n for n in self._in_flight if to_signed(n - ack.number) <= 0]:
+        for number in [n for n in self._in_flight if messages.to_signed(n - ack.number) <= 0]:
             del self._in_flight[number]
         before = list(self.confirmed)
         self._confirm(ack.counters)
@@ -348,7 +333,7 @@ class Link:
     def _confirm(self, counters: Sequence[int]) -> None:
         """Add the growth of the device's counters, modulo 2^16, to the confirmed counts."""
         self.confirmed = [
-            c + to_signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
+            c + messages.to_signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acknowledged, strict=True)
         ]
         self._acknowledged = list(counters)
 
