@@ -46,23 +46,26 @@ def random_map(seed, discs, rank=None):
     return DiscMap(d, A @ A.T, rng.integers(1, 10**6, discs))
 
 
-def saved_map(seed=0, discs=6, rank=None):
-    return SavedMap(random_map(seed, discs, rank), 0.6, 0.02, WHEN, "0.1.0")
+def saved(disc_map):
+    return SavedMap(disc_map, 0.6, 0.02, WHEN, "0.1.0")
+
+
+def read_back(folder, saved_map):
+    save_map(folder / "m.yaml", saved_map)
+    return load_map(folder / "m.yaml")
 
 
 @pytest.fixture
 def good():
-    return map_text(saved_map())
+    return map_text(saved(random_map(0, 6)))
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), discs=st.integers(1, 12), thin=st.booleans())
 def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
     """Also where the covariance is singular: a quadratic form in any direction keeps its value."""
-    before = saved_map(seed, discs, rank=1 + discs // 2 if thin else None)
-    path = tmp_path_factory.getbasetemp() / "m.map.yaml"
-    save_map(path, before)
-    after = load_map(path)
+    before = saved(random_map(seed, discs, rank=1 + discs // 2 if thin else None))
+    after = read_back(tmp_path_factory.getbasetemp(), before)
     assert (after.ball_radius, after.disc_radius, after.saved, after.version) == (0.6, 0.02, WHEN, "0.1.0")
     np.testing.assert_allclose(after.map.directions, before.map.directions, rtol=0, atol=2e-9)
     np.testing.assert_allclose(np.linalg.norm(after.map.directions, axis=1), 1.0, rtol=0, atol=1e-15)
@@ -79,11 +82,9 @@ def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
 
 @pytest.mark.parametrize("projection", [*CANDIDATES, normalise(np.array([-0.123456, 0.3, 0.7]))])
 def test_a_map_keeps_the_colours_of_its_discs(tmp_path, projection):
-    path = tmp_path / "m.yaml"
-    saved = saved_map(4)
-    save_map(path, replace(saved, map=replace(saved.map, projection=projection)))
-    assert ("weights" in path.read_text()) == (projection != GREY)  # without them it is what older versions wrote
-    after = load_map(path).map.projection
+    after = read_back(tmp_path, saved(replace(random_map(4, 6), projection=projection))).map.projection
+    written = (tmp_path / "m.yaml").read_text()
+    assert ("weights" in written) == (projection != GREY)  # without them it is what older versions wrote
     np.testing.assert_allclose(after.weights, projection.weights, rtol=0, atol=1e-6)
     assert after.needs_colour == projection.needs_colour
 
@@ -94,9 +95,7 @@ def test_what_is_known_best_of_a_map_survives_its_digits(tmp_path):
     common = np.concatenate([b.T @ np.cross([0.0, 0.0, 1.0], u) for b, u in zip(tangent_basis(d), d, strict=True)])
     fine, coarse = np.deg2rad(0.003), np.deg2rad(1.0)
     P = fine**2 * np.eye(40) + coarse**2 * np.outer(common, common)
-    path = tmp_path / "m.yaml"
-    save_map(path, SavedMap(DiscMap(d, P, np.ones(20, dtype=np.intp)), 0.6, 0.02, WHEN, "0.1.0"))
-    Q = load_map(path).map.covariance
+    Q = read_back(tmp_path, saved(DiscMap(d, P, np.ones(20, dtype=np.intp)))).map.covariance
     assert np.linalg.eigvalsh(Q)[:39] == pytest.approx(fine**2, rel=0.05)
     assert np.linalg.eigvalsh(Q)[39] == pytest.approx(np.linalg.eigvalsh(P)[39], rel=1e-3)
 
@@ -106,18 +105,14 @@ def test_the_axes_of_a_disc_on_the_seam_of_the_tangent_basis_stay(tmp_path):
     z = np.array([1e-12, -1e-12, 1e-10, -1e-10, 0.0, -0.0])
     angle = np.linspace(0.0, 5.0, 6)
     d = np.stack([np.cos(angle), np.sin(angle), z], axis=1)
-    path = tmp_path / "m.yaml"
-    save_map(path, SavedMap(DiscMap(d, 1e-6 * np.eye(12), np.ones(6, dtype=np.intp)), 0.6, 0.02, WHEN, "0.1.0"))
-    after = load_map(path).map.directions
+    after = read_back(tmp_path, saved(DiscMap(d, 1e-6 * np.eye(12), np.ones(6, dtype=np.intp)))).map.directions
     np.testing.assert_allclose(tangent_basis(after), tangent_basis(d), rtol=0, atol=1e-8)
 
 
 def test_a_map_of_120_discs_is_a_small_file(tmp_path):
-    path = tmp_path / "m.yaml"
-    save_map(path, saved_map(3, 120))
-    assert path.stat().st_size < 250_000
-    assert len(load_map(path).map) == 120
-    assert len(map_text(saved_map(3, 26))) < 16_000
+    assert len(read_back(tmp_path, saved(random_map(3, 120))).map) == 120
+    assert (tmp_path / "m.yaml").stat().st_size < 250_000
+    assert len(map_text(saved(random_map(3, 26)))) < 16_000
 
 
 def test_names_and_date():
@@ -181,11 +176,11 @@ def test_a_file_cut_off_anywhere_or_with_a_byte_changed_is_refused_or_still_a_ma
 
 
 def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
-    saved = saved_map()
-    check_fits(saved, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path, "discs")  # calibrated anew
-    with pytest.raises(
-        ConfigurationError, match=re.escape("was made with a ball of radius 0.6 m, the rig has 0.03 m: name this")
+    made = saved(random_map(0, 6))
+    check_fits(made, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path, "discs")  # calibrated anew
+    for rig, problem in (
+        (replace(RIG, ball=Ball(0.03)), "was made with a ball of radius 0.6 m, the rig has 0.03 m: name this"),
+        (replace(RIG, disc_radius=0.01), "was made with discs of radius 0.02 m, the rig has 0.01 m: name this"),
     ):
-        check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path, "discs")
-    with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig has 0.01 m")):
-        check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path, "discs")
+        with pytest.raises(ConfigurationError, match=re.escape(problem)):
+            check_fits(made, rig, tmp_path, "discs")
