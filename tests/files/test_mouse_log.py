@@ -1,7 +1,6 @@
 """Logs of mice: the kernel's events in, lines out and back; which mouse is meant. Without a device."""
 
 import os
-import signal
 import sys
 from itertools import pairwise
 
@@ -11,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from invoking import refusal
 
-from spheremouse import commands as cli
 from spheremouse.capture import mouse as mouse_log
 from spheremouse.capture.mouse import Assembler, Listener, Mouse, choose, mice
 from spheremouse.errors import DatasetError, SourceError
@@ -197,19 +195,12 @@ def test_unplugged_it_ends_at_the_last_report(plugged):
     assert [(r.stamp, r.dx) for r in seen] == [(100.0, 0), (100.5, 2), (100.5, 0)]
 
 
-def test_the_command_writes_the_log_and_says_what_is_next(plugged, monkeypatch, capsys, tmp_path):
+def test_the_command_writes_the_log_and_says_what_is_next(plugged, monkeypatch, spheremouse, tmp_path):
     plugged(*(moved(100.0 + 0.01 * k, 4) for k in range(1, 11)), None)
     monkeypatch.setattr(mouse_log, "mice", lambda: [Mouse("/x", "Ball")])
     monkeypatch.setattr(sys, "platform", "linux")
     out = tmp_path / "log.csv"
-    monkeypatch.setattr(sys, "argv", ["spheremouse", "log-mouse", "--out", str(out)])
-    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    said, complaints = capsys.readouterr()
-    assert not end.value.code
+    said, complaints = spheremouse.succeed("log-mouse", "--out", out)
     assert said.splitlines() == [
         f"{out}: 10 reports in 0.1 s, 40 counts in x and 0 in y",
         f"next: spheremouse match RECORDING {out}",
