@@ -231,7 +231,8 @@ def said(world, *texts):
     world.until(lambda: all(text in world.said for text in texts), texts)
 
 
-def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world):
+def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world, monkeypatch):
+    monkeypatch.setattr("spheremouse.session.captures._REPORTED_AFTER_S", 0.1)
     world.start()
     world.reach("tracking")
     world.turn()

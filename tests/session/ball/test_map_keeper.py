@@ -2,7 +2,6 @@
 
 import os
 import threading
-import time
 from contextlib import closing
 
 import numpy as np
@@ -197,12 +196,11 @@ def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_change
 
 def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
     """While the first save hangs, states are taken; the last one is what is in the file at the end."""
-    slow = []
+    slow, go_on = [], threading.Event()
 
     def hang(*words):
         slow.append(words)
-        if len(slow) == 1:
-            time.sleep(0.5)
+        go_on.wait(60.0)
         save_map(*words)
 
     def elsewhere(work):
@@ -216,6 +214,7 @@ def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
             keeper.keep(a_frame(known(BALL[:n])))
         assert len(slow) == 1
         assert not path.exists()
+        go_on.set()
     assert len(slow) == 2
     assert len(in_file(path)) == 25
 

@@ -55,7 +55,7 @@ def test_every_picture_is_whole_while_another_process_writes_without_rest():
 from spheremouse.session.control.pictures import PictureReader
 reader, last, read = PictureReader(files[0]), 0, 0
 end = time.monotonic() + 60.0
-while read < 200 and time.monotonic() < end:
+while read < 100 and time.monotonic() < end:
     picture = reader.latest(last)
     if picture is not None:
         number = picture.number
@@ -71,9 +71,9 @@ print(read)
         while process.poll() is None:
             number += 1
             ring.write(numbered(number))
-        assert int(process.stdout.read()) == 200
+        assert int(process.stdout.read()) == 100
     os.close(memory)
-    assert number > 200
+    assert number > 100
 
 
 def test_a_reader_that_is_killed_leaves_the_ring_as_it_was():

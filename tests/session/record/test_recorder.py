@@ -362,6 +362,7 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     [({"time": 5.1}, "ended after 5 s"), ({"time": 1.0, "free": 9e7}, "100 MB are free on the disk")],
 )
 def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatch, change, words, frame):
+    monkeypatch.setattr(module, "_CHECK_INTERVAL_S", 0.05)
     now = {"time": 0.0, "free": 1e9}
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=now["free"]))
     if "free" in change and not frame:
