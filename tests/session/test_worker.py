@@ -10,7 +10,7 @@ from daemon_world import DT, Film, RawPicture
 
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError
-from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.settings import Configuration
@@ -60,6 +60,24 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     assert 0.5 <= play.worker.times["wait"].recent_quantile(0.5) < 1.0
     rates = np.array([m.samples[0].rate for m in made])
     assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
+
+
+def test_the_scene_is_the_device_and_the_map_in_its_axes(film):
+    """Seen from the camera, each target and the ball are where the rig has them."""
+    play, rig = Play(film), film.rig
+    for k in (0, 0, *range(24)):
+        play(k)
+    scene, status = play.adapter.scene(), play.adapter.tracker_status(True)
+    camera, R = scene["camera"], np.reshape(scene["camera"]["rotation"], (3, 3))
+    assert (camera["size"], scene["radius"], scene["balls"]) == ([640, 480], rig.ball.radius, None)
+    assert {t["code"] for t in scene["targets"]} == set(rig.targets.codes)
+    for target in scene["targets"]:
+        seen = R @ (np.array(target["position"]) - camera["position"])
+        expected = project(play.adapter.pose.to_cam(np.array([target["position"]])), rig.camera)[0][0]
+        assert np.allclose(camera["focal"] * seen[:2] / seen[2] + camera["centre"], expected, atol=1.0)
+    assert np.allclose(np.linalg.norm(scene["discs"], axis=1), 1.0)
+    assert len(scene["discs"]) == status.discs_known > 5
+    assert np.allclose(np.sqrt(np.diag(np.reshape(camera["covariance"], (3, 3)))) * 1e3, status.pose.sigma_mm)
 
 
 def test_frames_of_read_only_memory_are_tracked_the_same(film):
