@@ -90,8 +90,8 @@ class Renderer:
         self._unit = scene = scene.scaled(1.0 / scene.scale)  # in the unit of length of its surroundings
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         reach = self.options.reach
-        self._home = _place(self.backdrop, Surface(scene, reach))
-        self._away = self._home
+        surface = Surface(scene, reach)
+        self._home = self._away = _Place(self.backdrop, surface, surface.points(self.backdrop.ball))
         self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
         self._last: _Seen | None = None
@@ -119,7 +119,8 @@ class Renderer:
         if self._layers is None or not np.any(centre):
             return self._home
         if np.any(centre != self._away.surface.centre):
-            self._away = _place(self._layers.backdrop(centre), self._home.surface.moved(centre))
+            backdrop, surface = self._layers.backdrop(centre), self._home.surface.moved(centre)
+            self._away = _Place(backdrop, surface, surface.points(backdrop.ball))
         return self._away
 
     def _look(self, profile: Profile, t: float, attitude: Array, place: _Place, hands: Sequence[Layer]) -> _Seen:
@@ -200,10 +201,6 @@ class Renderer:
         pixels = fastest * scene.ball_radius * max(scene.camera.fx, scene.camera.fy) / gap * scene.exposure_s
         n = min(1 + int(np.ceil(pixels / 2.0)) * (2 if len(scene.disc_directions) else 1), _MAX_MOMENTS)
         return t + scene.exposure_s * ((np.arange(n) + 0.5) / n - 0.5)
-
-
-def _place(backdrop: Backdrop, surface: Surface) -> _Place:
-    return _Place(backdrop, surface, surface.points(backdrop.ball) if surface.scene.pattern else None)
 
 
 def _expose(

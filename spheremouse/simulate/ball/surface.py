@@ -107,8 +107,10 @@ class Surface:
 
     # ---- pattern ----
 
-    def points(self, shown: NDArray[np.floating]) -> Points:
-        """Return the points of the ball that pixels show, if its share `shown` of the pixel, (h, w), is above 0."""
+    def points(self, shown: NDArray[np.floating]) -> Points | None:
+        """Return the points of a pattern in pixels of which the ball's share `shown`, (h, w), is above 0."""
+        if self.scene.pattern is None:
+            return None
         row, column = np.nonzero(shown[self._window.slices] > 0.0)
         grid = pixel_parts(_SUBPIXELS_OF_PATTERN)
         dray = self._dray[row, column]

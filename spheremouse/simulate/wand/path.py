@@ -6,7 +6,6 @@ the requested maximum speed and turning rate.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -28,19 +27,6 @@ _HALF_WIDTH, _LANES = 0.63, (3.72, 4.0, 4.28)  # m, world x and z
 _WOBBLE_SIGMA_RAD = 0.005  # rad, standard deviation of a robot's pitch and of its roll over a bumpy floor
 _BUMPS = 6  # sinusoids of each
 _SINUSOIDS_PER_COORDINATE = 4  # sinusoids of each coordinate of a hand
-
-
-class WandPath(Protocol):
-    """Pose of the ball at any time."""
-
-    @property
-    def seconds(self) -> float:
-        """Length, s."""
-        ...
-
-    def pose(self, t: Array) -> tuple[Array, Array]:
-        """Centre, (n, 3) m in cam, and R_cam_ball, (n, 3, 3), at times (n,) s."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +87,9 @@ class Hand:
         """Return centres (n, 3) m in cam, and R_cam_ball (n, 3, 3), at times (n,) s."""
         place, angle = _sum(self.sway, t), _sum(self.turn, t)
         return self.middle + place, self.facing @ exp(angle * (1.0, 1.0, 0.0)) @ exp(angle * (0.0, 0.0, 1.0))
+
+
+WandPath = Drive | Hand
 
 
 def hand(
