@@ -130,6 +130,11 @@ def spheremouse(monkeypatch, capfd):
         signal.signal(number, handler)
 
 
+def seeds(quick, more):
+    """Return the numbers from 0 on, of which all but the first `quick` are for slow tests."""
+    return [*range(quick), *(pytest.param(k, marks=pytest.mark.slow) for k in range(quick, more))]
+
+
 def central_differences(f, x, h=1e-6):
     """Return df/dx, (..., k), of a function of one (k,) vector."""
     return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)

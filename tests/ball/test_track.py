@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from ball_world import CAMERA, DISCS, DT, MATRIX, POSE, RIG, SIGMA, detected, in_view, photo, pixels
-from conftest import directions
+from conftest import directions, seeds
 from numpy.testing import assert_allclose
 from reporting import counts_of
 
@@ -280,7 +280,7 @@ def test_a_new_map_gives_way_to_the_older_one_that_is_recognised():
     assert np.abs(out.counts).max() < 1.5 * np.abs(MATRIX @ ROLL * DT).max()
 
 
-@pytest.mark.parametrize("hidden", [0.1, 0.25])
+@pytest.mark.parametrize("hidden", [pytest.param(0.1, marks=pytest.mark.slow), 0.25])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
 def test_a_hand_that_hides_the_ball_and_stops_it(rate, hidden):
     """The prediction runs on while the discs stand still: they must not be taken for look-alikes."""
@@ -293,7 +293,9 @@ def test_a_hand_that_hides_the_ball_and_stops_it(rate, hidden):
     assert len(out.states[-1].filter.discs) <= len(DISCS)
 
 
-@pytest.mark.parametrize("unseen", [[0.9, 0.2, 0.4], [-0.5, 0.3, 0.0], [0.0, 0.0, 1.5]])
+@pytest.mark.parametrize(
+    "unseen", [[0.9, 0.2, 0.4], *(pytest.param(w, marks=pytest.mark.slow) for w in ([-0.5, 0.3, 0.0], [0.0, 0.0, 1.5]))]
+)
 @pytest.mark.parametrize("gap", [0.15, 0.5, 100.0])
 def test_a_stall_of_the_source_while_the_ball_turns_on(gap, unseen):
     """No frame for a while (a busy machine, suspend): the prediction over a long gap is a guess, not a measurement."""
@@ -489,7 +491,7 @@ def test_a_wrong_focal_length_is_found_if_the_rig_states_its_uncertainty(error):
         assert abs(last.rig_error[0] + error) < 0.002 + 4.0 * last.joint[KINEMATIC_DIM, KINEMATIC_DIM] ** 0.5
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(2, 4))
 def test_a_pose_that_is_wrong_within_its_covariance_is_no_lifted_ball(seed):
     sigma = np.array([5e-3, 5e-3, 3e-3, 1e-3, 1e-3, 1e-3])
     e = sigma * np.random.default_rng(seed).normal(size=6)

@@ -102,7 +102,7 @@ def test_after_the_camera_was_moved_the_ball_is_still_recognised(film, tracked):
     assert Recognised in events(back)
 
 
-@pytest.mark.parametrize("light", [1.0, 0.5, 0.2])
+@pytest.mark.parametrize("light", [1.0, pytest.param(0.5, marks=pytest.mark.slow), 0.2])
 def test_a_ball_at_rest_in_any_light_and_noise_sends_nothing(film, tracked, light):
     """The pointer moves by less than a fifth of a pixel of the ball in two seconds of noise."""
     made, tracker = film
@@ -131,8 +131,8 @@ def test_a_ball_that_never_turns_sends_nothing_whatever_the_noise(film):
         assert not any(np.any(s.estimate.increment) for s in steps)
 
 
-@pytest.mark.parametrize(("pattern", "size"), [("speckle", 0.2), ("none", 0.2), ("dirt", 0.2)])
-def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film, pattern, size):
+@pytest.mark.parametrize("pattern", ["speckle", "none", pytest.param("dirt", marks=pytest.mark.slow)])
+def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film, pattern):
     """It covers a third of the ball, and moves by the radius. The noise of a plain ball is no pattern that turns."""
     made, tracker = film
     plain = prepare(SimulationOptions(pattern=pattern, motion="still", seconds=DT, size=(320, 240), seed=7))
@@ -141,7 +141,7 @@ def test_a_spotted_sleeve_before_a_ball_at_rest_sends_nothing(film, pattern, siz
     rng = np.random.default_rng(2)
     sleeve = 110.0 + 60.0 * np.sign(cv2.GaussianBlur(rng.normal(size=(height, 3 * width)), (0, 0), 3.0))
     v, u = np.mgrid[:height, :width]
-    covered = np.hypot(u - 0.5 * width, v - 0.5 * height) < size * height
+    covered = np.hypot(u - 0.5 * width, v - 0.5 * height) < 0.2 * height
     images = []
     for k in range(90):
         at = width + round(0.5 * max(k - 15, 0))

@@ -143,7 +143,7 @@ def test_another_ball_is_never_taken_for_the_first_and_begins_anew(speckle):
     assert not any(s.estimate.confirmed for s in seen)
 
 
-@pytest.mark.parametrize("pattern", ["none", "dirt"])
+@pytest.mark.parametrize("pattern", ["none", pytest.param("dirt", marks=pytest.mark.slow)])
 def test_a_ball_that_shows_too_little_is_never_tracked(pattern):
     """What stands still fits each frame, and would look like a ball at rest."""
     made, tracker = film(pattern, seconds=1.5, noise=4.0)
@@ -154,7 +154,7 @@ def test_a_ball_that_shows_too_little_is_never_tracked(pattern):
 
 def test_motion_about_the_axis_of_stripes_is_as_uncertain_as_it_is_unknown():
     """The other two axes are followed, and the log says what is missing."""
-    made, tracker = film("stripes", seconds=3.0, size=(640, 480), motion="play")
+    made, tracker = film("stripes", seconds=3.0, size=(480, 360), motion="play")
     steps = follow([m.frame for m in made], tracker)
     assert events(steps).count(AxisUnseen) == 1
     axis = np.random.default_rng([7, 3]).standard_normal(3)  # of the stripes
