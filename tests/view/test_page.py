@@ -512,7 +512,7 @@ def violations(page):
         choose(page, panel)
         if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
             found.append((panel, "scrolls sideways", []))
-        report = axe.Axe().run(page).response
+        report = axe.Axe().run(page, options={"resultTypes": ["violations"]}).response  # a third of the time
         assert len(report["passes"]) > 20
         found += [(panel, v["id"], [node["html"] for node in v["nodes"]]) for v in report["violations"]]
     return found
