@@ -219,7 +219,7 @@ class Bundle:
         return Normal(N[:, :k, :k].sum(axis=0), down[:, :k].sum(axis=0), N[:, k:, k:], N[:, k:, :k], down[:, k:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return residuals over the views' `sigma` (v,), then those of the observed shape, (2n + 4,), and the Jacobian.
+        """Return the residuals divided by the views' `sigma` (v,), px, then those of the shape, (2n + 4,), and the Jacobian.
 
         It is (2n + 4, e), with a column for each of the e estimated unknowns.
         """

@@ -89,7 +89,7 @@ class RequestQueue:
             self._wake()
 
     def take(self) -> PendingRequest | None:
-        """Return the next request, which is then under way until its answer."""
+        """Return the next request, which is then under way until its answer; None if none may begin."""
         if not self._waiting:
             return None
         with self._lock:
