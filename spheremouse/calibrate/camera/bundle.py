@@ -219,9 +219,10 @@ class Bundle:
         return Normal(N[:, :k, :k].sum(axis=0), down[:, :k].sum(axis=0), N[:, k:, k:], N[:, k:, :k], down[:, k:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Return the residuals divided by the views' `sigma` (v,), px, then those of the shape, (2n + 4,), and the Jacobian.
+        """Return the residuals and the Jacobian.
 
-        It is (2n + 4, e), with a column for each of the e estimated unknowns.
+        The residuals are those of the views divided by their `sigma` (v,), px, then those of the shape, (2n + 4,). The
+        Jacobian is (2n + 4, e), with a column for each of the e estimated unknowns.
         """
         residual, J = self.linear(x)
         weight, n = 1.0 / sigma[self.of], len(residual)
