@@ -22,9 +22,6 @@ class RawFrame:
     def __init__(self, sequence, stamp):
         self.sequence, self.stamp, self.released = sequence, stamp, 0
 
-    def frame(self, colour):
-        return Frame(IMAGE, self.stamp, self.sequence)
-
     def release(self):
         self.released += 1
 

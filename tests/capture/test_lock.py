@@ -1,5 +1,6 @@
 """One daemon to a camera: a lock that names its holder and outlives nobody."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -77,38 +78,24 @@ def test_an_error_within_gives_it_back_and_a_missing_node_is_not_our_matter(tmp_
         pass
 
 
-class Camera:
-    """One that notes."""
-
-    def __init__(self, log, fails=False):
-        self._log, self._fails = log, fails
-
-    def next(self, timeout):
-        return None
-
-    def describe(self):
-        return "a camera"
-
-    def __enter__(self):
-        if self._fails:
-            raise SourceError("no")
-        self._log.append("open")
-        return self
-
-    def __exit__(self, *_):
-        self._log.append("closed")
+@contextlib.contextmanager
+def camera(log, fails=False):
+    if fails:
+        raise SourceError("no")
+    log.append("open")
+    yield "a camera"
+    log.append("closed")
 
 
 def test_a_camera_holds_its_node_while_it_is_open(tmp_path):
     node, log = tmp_path / "video0", []
     node.touch()
-    with locked_camera(node, lambda: Camera(log)) as camera:
-        assert camera.describe() == "a camera"
-        assert camera.next(0.0) is None
+    with locked_camera(node, lambda: camera(log)) as opened:
+        assert opened == "a camera"
         with pytest.raises(SourceError, match="in use"), locked(node):
             pass
     assert log == ["open", "closed"]
-    with pytest.raises(SourceError, match=r"^no$"), locked_camera(node, lambda: Camera(log, fails=True)):
+    with pytest.raises(SourceError, match=r"^no$"), locked_camera(node, lambda: camera(log, fails=True)):
         pass
     with locked(node):
         pass
@@ -122,7 +109,7 @@ def test_another_way_to_open_a_camera_that_is_open_is_no_second_daemon(tmp_path,
 
     node, log = tmp_path / "video0", []
     node.touch()
-    monkeypatch.setattr("spheremouse.capture.v4l2.open_camera", lambda argument, settings: Camera(log))
+    monkeypatch.setattr("spheremouse.capture.v4l2.open_camera", lambda argument, settings: camera(log))
     source = f"v4l2:{node},fps=30"
     plan = read_run_config(CommandLineOverrides(None, (f"source='{source}'", "output=null")))
     refuse_if_taken(source)

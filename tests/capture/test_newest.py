@@ -12,9 +12,6 @@ class RawFrame:
     def __init__(self, number):
         self.stamp, self.sequence, self.released = float(number), number, 0
 
-    def frame(self, colour):
-        raise NotImplementedError
-
     def release(self):
         self.released += 1
 

@@ -45,6 +45,15 @@ def view():
     )
 
 
+def image_of(disc, view, reach):
+    """Return the pixels, (h, w), of a disc's image of `reach` times its size."""
+    seen, m, p, R, _ = view
+    x, y, z = p + BALL.radius * R @ disc.direction
+    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
+    square = (columns - m.lens[0] * x / z - m.lens[2]) ** 2 + (rows - m.lens[1] * y / z - m.lens[3]) ** 2
+    return square < (reach * disc.angle * BALL.radius * m.lens[0] / p[2]) ** 2
+
+
 def values(view, position, rotation, weigh=log_likelihood):
     seen, m, *_ = view
     return weigh(np.atleast_2d(position), np.reshape(rotation, (-1, 3, 3)), m, seen)
@@ -173,11 +182,7 @@ def test_glare_is_no_evidence(view):
     np.testing.assert_allclose(value, 0.0, atol=1e-9)
     np.testing.assert_array_equal(match, 0.0)
 
-    facing = [d for d in BALL.discs if (R @ d.direction)[2] < -0.5]
-    centre = p + BALL.radius * R @ facing[0].direction
-    u, v = np.array(m.lens[:2]) * centre[:2] / centre[2] + m.lens[2:4]
-    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
-    spot = (columns - u) ** 2 + (rows - v) ** 2 < (1.4 * facing[0].angle * BALL.radius * m.lens[0] / p[2]) ** 2
+    spot = image_of(next(d for d in BALL.discs if (R @ d.direction)[2] < -0.5), view, 1.4)
     gone = replace(seen, weight=np.where(spot, 0, seen.weight).astype(np.uint8))
     veiled = replace(gone, glare=(255 * spot[None]).astype(np.uint8))
     whole, _ = log_likelihood(*poses, m, seen)
@@ -194,14 +199,10 @@ def test_glare_is_no_evidence(view):
 def test_glare_in_place_of_discs_is_no_evidence(view, part):
     """Pale spots at the places of the discs, without their colours."""
     seen, m, p, R, _ = view
-    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
-    pale = np.zeros(rows.shape, dtype=np.uint8)
+    pale = np.zeros(seen.weight.shape[1:], dtype=np.uint8)
     for d in BALL.discs:
-        centre = p + BALL.radius * R @ d.direction
-        if (R @ d.direction) @ centre < 0.0:
-            u, v = np.array(m.lens[:2]) * centre[:2] / centre[2] + m.lens[2:4]
-            reach = part * d.angle * BALL.radius * m.lens[0] / p[2]
-            pale[(columns - u) ** 2 + (rows - v) ** 2 < reach**2] = 255
+        if (R @ d.direction) @ (p + BALL.radius * R @ d.direction) < 0.0:
+            pale[image_of(d, view, part)] = 255
     glare = cv2.GaussianBlur(pale, (5, 5), 0.0)[None]
     value, match = log_likelihood(p[None], R[None], m, replace(seen, weight=np.zeros_like(seen.weight), glare=glare))
     assert value[0] < 0.0
