@@ -59,18 +59,16 @@ def test_corners_lie_where_the_board_projects():
 def test_a_faint_row_beside_the_board_is_not_a_part_of_it():
     """Infrared photographs of a 9x6 board have such rows, and OpenCV's search for the largest board takes them."""
     rng, R, t = scene(3, 8)
-    added = 0
-    for k in range(8):
+    for k in range(2):
         image, longer = (picture(R[k], t[k], pattern).astype(float) for pattern in (PATTERN, Pattern(9, 7, 0.03)))
         image = np.rint(0.7 * image + 0.3 * longer + rng.normal(0.0, 1.5, image.shape)).clip(0, 255).astype(np.uint8)
         largest = cv2.findChessboardCornersSBWithMeta(image, (3, 3), cv2.CALIB_CB_LARGER)[2]
-        added += largest.size == 63
+        assert largest.size == 63
         seen = find_board(image, PATTERN)
         assert len(seen.ids) == 54
         truth, _ = project(PATTERN.corners() @ R[k].T + t[k], CAMERA)
         truth = min(truth, truth[::-1], key=lambda uv: float(np.abs(uv - seen.uv).max()))
         assert np.abs(seen.uv - truth).max() < 0.5
-    assert added >= 2
 
 
 def test_another_count_is_no_board_and_is_told():
