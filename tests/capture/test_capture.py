@@ -36,19 +36,9 @@ def film(tmp_path_factory):
     return write_video(tmp_path_factory.mktemp("video") / "film.mkv")
 
 
-def python(program, *arguments):
-    return subprocess.run(
-        [sys.executable, "-c", program, *arguments],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-    )
-
-
-def failing(spec, **options):
+def failing(spec):
     frames = []
-    with pytest.raises(SpheremouseError) as e, open_source(spec, **options) as source:
+    with pytest.raises(SpheremouseError) as e, open_source(spec) as source:
         frames.extend(source)
     assert "\n" not in str(e.value)
     return frames, str(e.value)
@@ -125,7 +115,8 @@ def test_opencv_and_ffmpeg_add_no_lines_of_their_own(film, tmp_path):
             "import sys\nfrom spheremouse.capture import open_source\n"
             "try:\n    list(open_source(sys.argv[1]))\nexcept Exception as e:\n    print(e)\n"
         )
-        run = python(program, f"video:{tmp_path / name}")
+        command, root = (sys.executable, "-c", program, f"video:{tmp_path / name}"), Path(__file__).parents[2]
+        run = subprocess.run(command, capture_output=True, text=True, check=True, cwd=root)
         assert expected in run.stdout
         assert (run.stdout.count("\n"), run.stderr) == (1, "")
 

@@ -95,10 +95,10 @@ def gamma(light):
     return 255.0 * np.clip(light, 0.0, 1.0) ** (1 / 2.2)
 
 
-def discs_on(radius, light, ground, n=3, beside=None, side=48, tone=gamma):
-    """Return a picture of n discs on a ground with linear light; `beside` gives grey values for the part below."""
+def discs_on(radius, light, ground, beside=None, side=48, tone=gamma):
+    """Return a picture of three discs on a ground with linear light; `beside` gives grey values for the part below."""
     rng = np.random.default_rng(4)
-    cover = np.hstack([covered(radius, side, *rng.uniform(-0.5, 0.5, 2)) for _ in range(n)])
+    cover = np.hstack([covered(radius, side, *rng.uniform(-0.5, 0.5, 2)) for _ in range(3)])
     grey = tone(cover * light + (1.0 - cover) * ground)
     if beside is not None:
         grey = np.vstack([grey, beside(grey.shape[1])])
@@ -106,8 +106,8 @@ def discs_on(radius, light, ground, n=3, beside=None, side=48, tone=gamma):
     return np.repeat(grey[..., None], 3, axis=2)
 
 
-def shift_of(found, radius, n=3, rows=48):
-    return np.sqrt(np.count_nonzero(found.binary[0][:rows]) / (n * np.pi)) - radius
+def shift_of(found, radius):
+    return np.sqrt(np.count_nonzero(found.binary[0][:48]) / (3.0 * np.pi)) - radius
 
 
 def test_rims_of_large_dark_areas_have_no_effect_on_the_rim_shift():
@@ -171,12 +171,12 @@ def test_no_rim_shift_if_brightness_does_not_separate_a_colour():
         assert colour_fields(image, red, ("red",), known=PictureColours(127.0, np.zeros(1))).rim[0] == 0.0
 
 
-def glaring(strength, across=20):
+def glaring(strength):
     """Return a white patch with a red disc, 24 px across, and the sun's image at its rim; and the disc's pixels."""
     v, u = np.mgrid[0:96, 0:128]
     disc = (u - 64.0) ** 2 + (v - 48.0) ** 2 < 12.0**2
     light = np.where(disc[..., None], np.array([0.02, 0.02, 0.5]), 0.62)
-    lobe = strength * np.exp(-0.5 * ((u - 64.0) ** 2 + (v - 40.0) ** 2) / (across / 4.0) ** 2)
+    lobe = strength * np.exp(-0.5 * ((u - 64.0) ** 2 + (v - 40.0) ** 2) / 5.0**2)
     return np.rint(255.0 * np.clip(light + lobe[..., None], 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8), disc
 
 

@@ -63,10 +63,9 @@ def test_covariance_of_few_particles_is_the_expected_one():
     np.testing.assert_allclose(regularised_covariance(2 * ONE, 1e9, ONE), 2 * ONE)
 
 
-@pytest.mark.parametrize("n", [20_000])
-def test_proposals_do_not_change_the_posterior(n):
+def test_proposals_do_not_change_the_posterior():
     """The likelihood is a Gaussian. The proposal uses a displaced one, three times as wide, or the motion alone."""
-    rng = np.random.default_rng(6)
+    rng, n = np.random.default_rng(6), 20_000
     parents = scatter(np.array([0.0, 0.0, 1.0]), np.eye(3), 0.1 * ONE, n, rng)
     m = motions(np.array([0.03, 0.0, 0.02, 0.1, -0.1, 0.0]))
     to, toR = np.array([0.02, -0.01, 1.03]), exp(np.array([0.15, 0.02, -0.1]))
