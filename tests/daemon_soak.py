@@ -422,7 +422,7 @@ def soak(days: float, seed: int) -> list[str]:
     )
     print(
         f"  tracked {cabinet.tracked}, damaged {cabinet.damaged}, lost by the driver {cabinet.lost}, "
-        f"skipped {daemon.parts.ring.skipped}; {cabinet.reports} reports, unsent {daemon.unsent}"
+        f"skipped {daemon.parts.ring.skipped}; {cabinet.reports} reports, unsent {daemon.parts.outputs.unsent}"
     )
     print(
         f"  {cabinet.spells_judged} ordinary spells; counts wrong by {max(cabinet.worst, 0.0):.2f} at most, beyond 1 %"

@@ -28,6 +28,7 @@ from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import Output, open_output
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client, NoDaemonError
+from spheremouse.session.live_run import LiveRun
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
@@ -287,15 +288,9 @@ class World:
             self.states[made.frame.stamp] = str(self.daemon.status().state)
             self.frames.append(report.counts)
 
-        self.daemon = Daemon(
-            overrides,
-            read_run_config(overrides),
-            self.setup,
-            self.opener,  # pyright: ignore[reportArgumentType]
-            log=self.said.append,
-            show=show if watch is None else watch,
-            frames=frames,
-        )
+        plan, opener = read_run_config(overrides), self.opener
+        parts = LiveRun(overrides, plan, self.setup, opener, self.said.append)  # pyright: ignore[reportArgumentType]
+        self.daemon = Daemon(parts, show=show if watch is None else watch, frames=frames)
         self.asked = False
         self._thread = threading.Thread(target=self._run, name="daemon")
         self._thread.start()

@@ -32,6 +32,7 @@ from spheremouse.output import Output
 from spheremouse.session import outputs
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.protocol import LEASE
+from spheremouse.session.live_run import LiveRun
 from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
@@ -73,8 +74,8 @@ def serve(folder: Path, camera_type: type[Camera] = Camera, fps: float = FPS) ->
     (folder / "rig.yaml").write_text(rig_text(film.rig))
     outputs.open_output = lambda spec: sink
     camera, overrides = camera_type(film.colour, fps), CommandLineOverrides(config)
-    daemon = Daemon(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, log=print)
-    daemon.run(cast(Any, SimpleNamespace(asked=False)))
+    parts = LiveRun(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, print)
+    Daemon(parts).run(cast(Any, SimpleNamespace(asked=False)))
     np.save(folder / "times.npy", np.array(sink.times))
 
 

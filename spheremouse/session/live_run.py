@@ -44,7 +44,11 @@ class LiveRun:
         camera: Callable[[RunConfig], OpenCamera],
         log: Callable[[str], None],
     ) -> None:
-        """Create the parts, as `Daemon`. They start in `begin` and `start`."""
+        """Create the parts. They start in `begin` and `start`.
+
+        `camera` returns the function that opens the camera of a plan with one camera. `log` takes lines for the log,
+        from any thread.
+        """
         self.setup, self._camera, self._print = setup, camera, log
         self.log = RateLimitedLogger(self._log_now)  # from any thread; of each kind one line a second
         self.began = time.monotonic()
@@ -85,6 +89,22 @@ class LiveRun:
     def adapter(self) -> TrackerAdapter:
         """The tracker's adapter. A change of rig or balls replaces it."""
         return self.worker.adapter
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Frames that were not tracked, by reason."""
+        return {
+            "skipped": self.ring.skipped,
+            "dropped": self.captures.dropped,
+            "damaged": self.worker.damaged,
+            "before anything could be tracked": self.adapter.untracked,
+        }
+
+    @property
+    def latency(self) -> tuple[float, float] | None:
+        """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
+        latency = self.outputs.main.thread.status().latency
+        return None if latency is None else (latency.p50, latency.p99)
 
     def begin(self, handle: Handle, status: Callable[[], StatusReport]) -> None:
         """Start the threads, open control socket, metrics and outputs, and notify systemd.

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from spheremouse.capture import OpenCamera
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.signals import SignalHandler, on_hang_up
-from spheremouse.output import Counts, Report, report_of
+from spheremouse.output import Report, report_of
 from spheremouse.output.pointer import minus
 from spheremouse.session import command_handler
 from spheremouse.session.control.protocol import Request
@@ -19,9 +18,7 @@ from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.status import State, StatusReport
 from spheremouse.session.live_run import LiveRun
 from spheremouse.session.process.realtime import GcPause
-from spheremouse.session.run_config import CommandLineOverrides, RunConfig
 from spheremouse.session.run_status import status_of
-from spheremouse.session.setup import Setup
 from spheremouse.session.timing import NEXT_FRAME_S, SleepMonitor
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
 
@@ -36,25 +33,10 @@ Show = Callable[[FrameResult, Report, TrackerAdapter], None]
 class Daemon:
     """One run. `run` releases everything at its end."""
 
-    def __init__(
-        self,
-        overrides: CommandLineOverrides,
-        plan: RunConfig,
-        setup: Setup,
-        camera: Callable[[RunConfig], OpenCamera],
-        *,
-        log: Callable[[str], None],
-        show: Show = lambda _, __, ___: None,
-        frames: int | None = None,
-    ) -> None:
-        """`camera` returns the function that opens the camera of a plan with one camera.
-
-        `log` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
-        many of them.
-        """
-        self.parts = LiveRun(overrides, plan, setup, camera, log)
+    def __init__(self, parts: LiveRun, *, show: Show = lambda _, __, ___: None, frames: int | None = None) -> None:
+        """`show` sees each tracked frame; `frames` ends the run after so many of them."""
+        self.parts, self._show, self._limit = parts, show, frames
         self.finished = False  # the end of a recording has ended the run
-        self._show, self._limit = show, frames
         self._checked_at = self._reopened_at = time.monotonic()
         self._sleep = SleepMonitor()
 
@@ -72,37 +54,6 @@ class Daemon:
     def status(self) -> StatusReport:
         """Return the status, from any thread."""
         return status_of(self.parts)
-
-    @property
-    def adapter(self) -> TrackerAdapter:
-        """The tracker's adapter. A change of rig or balls replaces it."""
-        return self.parts.adapter
-
-    @property
-    def trouble(self) -> str:
-        """Reason why the last frames could not be used; empty if they could."""
-        return self.parts.worker.trouble
-
-    @property
-    def unsent(self) -> Counts:
-        """Counts of all frames that will not be sent."""
-        return self.parts.outputs.unsent
-
-    @property
-    def left_out(self) -> dict[str, int]:
-        """Frames that were not tracked, by reason."""
-        return {
-            "skipped": self.parts.ring.skipped,
-            "dropped": self.parts.captures.dropped,
-            "damaged": self.parts.worker.damaged,
-            "before anything could be tracked": self.adapter.untracked,
-        }
-
-    @property
-    def latency(self) -> tuple[float, float] | None:
-        """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
-        latency = self.parts.outputs.main.thread.status().latency
-        return None if latency is None else (latency.p50, latency.p99)
 
     # ---- the loop ----
 
@@ -139,10 +90,10 @@ class Daemon:
             parts.log(f"the computer slept for {slept:.0f} s: motion meanwhile is not counted")
             parts.outputs.end_prediction(now)
         if slept or self._sleep.is_older(arrival.taken):
-            self.adapter.slept()
-        waiting = self.adapter.waiting
+            parts.adapter.slept()
+        waiting = parts.adapter.waiting
         if replay is not None and replay.is_first(arrival.raw) and not waiting:
-            self.adapter.restart("the recording begins")
+            parts.adapter.restart("the recording begins")
         shown = arrival.camera == parts.captures.main
         try:
             made = worker.work(arrival, colour=parts.archive.wants_colour)
@@ -151,11 +102,11 @@ class Daemon:
                     parts.update_state(now)  # log the state before anything moves
                 self._publish(made, arrival.taken, shown=shown)
             elif worker.untracked is not None and shown:
-                parts.archive.look(worker.untracked, self.adapter)
+                parts.archive.look(worker.untracked, parts.adapter)
             cameras = len(parts.captures.each)
-            parts.pictures.show(now, arrival.raw, self.adapter, made, camera=arrival.camera, cameras=cameras)
+            parts.pictures.show(now, arrival.raw, parts.adapter, made, camera=arrival.camera, cameras=cameras)
         finally:
-            if replay is not None and waiting and not self.adapter.waiting:
+            if replay is not None and waiting and not parts.adapter.waiting:
                 replay.control(replay.controls, rewind=True)  # to the frames before the pose was known
             worker.untracked = None
             arrival.raw.release()
@@ -170,13 +121,13 @@ class Daemon:
         latency = time.monotonic() - taken
         wall = time.time() - latency
         samples = tuple(replace(sample, wall=wall, latency=latency) for sample in result.samples)
-        report = report_of(samples, self.adapter.mapping, result.pointing)
+        report = report_of(samples, parts.adapter.mapping, result.pointing)
         # `_work` has just updated a state that is not TRACKING. An output that fails later counts its frames as unsent.
         parts.outputs.submit(report, taken, wanted=parts.monitor.state is not State.FAILED_OUTPUT)
         # Archive and view get the image, too, whose buffer is released after this.
         if shown:
-            parts.archive.keep(result, self.adapter, lambda: minus(parts.outputs.counts, self.unsent))
-        self._show(result, report, self.adapter)
+            parts.archive.keep(result, parts.adapter, lambda: minus(parts.outputs.counts, parts.outputs.unsent))
+        self._show(result, report, parts.adapter)
         if parts.server is not None:
             parts.server.submit(report)
         if self._limit is not None and parts.worker.frames >= self._limit:

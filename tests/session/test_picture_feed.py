@@ -21,6 +21,7 @@ from spheremouse.session.control.client import Client
 from spheremouse.session.control.pictures import PictureReader
 from spheremouse.session.control.protocol import LEASE, Replay
 from spheremouse.session.control.request_queue import PendingRequest
+from spheremouse.session.live_run import LiveRun
 from spheremouse.session.offline import track
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -154,8 +155,8 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
         estimate = made.epoch.estimate
         results.append((made.frame.sequence, estimate.rotation, estimate.rate, estimate.increment))
 
-    daemon = Daemon(overrides, plan, setup, lambda _: setup.open_replay, log=lambda _: None, show=show)
-    thread = threading.Thread(target=daemon.run, args=(stop,))
+    parts = LiveRun(overrides, plan, setup, lambda _: setup.open_replay, lambda _: None)
+    thread = threading.Thread(target=Daemon(parts, show=show).run, args=(stop,))
     thread.start()
     try:
         until(lambda: results)
@@ -168,7 +169,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
         thread.join(PATIENCE)
     starts = [k for k, result in enumerate(results) if result[0] == 0]
     recording = open_dataset(CLIP)
-    tracker = build(recording.rig, daemon.adapter.pose, plan.configuration)
+    tracker = build(recording.rig, parts.adapter.pose, plan.configuration)
     expected = [(e.frame.sequence, e.estimate.rotation, e.estimate.rate, e.estimate.increment)
                 for e in track(read_frames(recording), tracker)]  # fmt: skip
     for a, b in [*pairwise(starts)][-2:]:

@@ -41,6 +41,7 @@ from spheremouse.session import service as run_module
 from spheremouse.session import timing
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.request_queue import RequestQueue
+from spheremouse.session.live_run import LiveRun
 from spheremouse.session.picture_feed import PictureFeed
 from spheremouse.session.process import realtime
 from spheremouse.session.process.threads import as_future
@@ -848,9 +849,7 @@ def test_who_is_refused_has_emptied_no_file(world, tmp_path):
     path = tmp_path / "out.txt"
     path.write_text("what the first run has written\n")
     overrides = CommandLineOverrides(world.config, (f"output=text:{path}",))
-    other = run_module.Daemon(
-        overrides, read_run_config(overrides), Setup(), lambda _: world.open_camera, log=lambda _: None
-    )  # fmt: skip
+    parts = LiveRun(overrides, read_run_config(overrides), Setup(), lambda _: world.open_camera, lambda _: None)
     with pytest.raises(ControlError, match="another daemon listens there"):
-        other.run(world)
+        run_module.Daemon(parts).run(world)
     assert path.read_text() == "what the first run has written\n"

@@ -230,34 +230,34 @@ def serve(
     none, and the last lines to print. Raises SpheremouseError if the camera is in use.
     """
     from spheremouse.session.cameras import refuse_if_taken
+    from spheremouse.session.live_run import LiveRun
     from spheremouse.session.service import Daemon
     from spheremouse.session.setup import opener
 
     for each in plan.cameras:
         refuse_if_taken(each.source)
     opened = [source for source in (setup.source, setup.second) if source is not None]
-    daemon = Daemon(
+    parts = LiveRun(
         overrides,
         plan,
         setup,
         lambda new_plan: setup.open_replay or opener(new_plan, opened),  # the first call takes the open source
-        log=view.log,
-        show=view.show,
-        frames=frames,
+        view.log,
     )
-    view.tally.unsent = lambda: daemon.unsent
+    daemon = Daemon(parts, show=view.show, frames=frames)
+    view.tally.unsent = lambda: parts.outputs.unsent
     failure: SpheremouseError | None = None
     try:
         daemon.run(stopping)
     except SpheremouseError as e:
         failure = e
-    view.tally.left_out = daemon.left_out
-    if daemon.latency is not None:
-        median, slow = (1e3 * seconds for seconds in daemon.latency)
+    view.tally.left_out = parts.left_out
+    if parts.latency is not None:
+        median, slow = (1e3 * seconds for seconds in parts.latency)
         view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
     if daemon.finished and failure is None and not stopping.asked:
-        failure = daemon.adapter.failure(daemon.trouble)
-    return failure, daemon.adapter.final_messages(failed=failure is not None)
+        failure = parts.adapter.failure(parts.worker.trouble)
+    return failure, parts.adapter.final_messages(failed=failure is not None)
 
 
 def follow(

@@ -85,7 +85,7 @@ class WandWorld(World):
 
     def check_laws(self):
         given = np.sum([r.counts for _, r in self.frames], axis=0) if self.frames else np.zeros(3)
-        assert np.array_equal(self.counts + self.daemon.unsent + left_over(self.daemon), given)
+        assert np.array_equal(self.counts + self.daemon.parts.outputs.unsent + left_over(self.daemon), given)
         seen = {e.frame.stamp for e, _ in self.frames if e.poses[0].seen}
         assert all(m.stamp in seen for m in self.sent if any(m.counts))
 
@@ -119,7 +119,7 @@ def test_counts_are_the_turn_of_the_ball(playing):
     near(counts, true)
     playing.settle(20)
     assert playing.log_after_start() == ["tracking: grzonka is followed"]
-    assert playing.daemon.latency is not None
+    assert playing.daemon.parts.latency is not None
 
 
 def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
