@@ -385,8 +385,8 @@ def test_a_request_is_handled_directly_after_a_frame_so_that_none_waits_for_it(w
         gaps.append(time.monotonic() - done[-1])
         change(*arguments)
 
-    def shown(*arguments):
-        show(*arguments)
+    def shown(*arguments, **options):
+        show(*arguments, **options)
         done.append(time.monotonic())
 
     monkeypatch.setattr(loader_module.ConfigReloader, "set", changed)
