@@ -69,9 +69,9 @@ def film(filter_, attitudes, stamps, rng, discs=DISCS):
     return follow(filter_, filter_.initial(stamps[0], attitudes[0]), attitudes, stamps, rng, discs)
 
 
-def rolling(rate, n, dt=DT):
+def rolling(rate, n):
     """Attitudes and stamps of a constant rate (3,) rad/s in obj."""
-    t = np.arange(n) * dt
+    t = np.arange(n) * DT
     return exp(np.asarray(rate) * t[:, None]), t
 
 

@@ -299,11 +299,7 @@ def test_a_release_without_a_lock_is_refused(tmp_path, release):
 
 @pytest.mark.slow
 def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_in_a_private_folder(tmp_path, shared, release):
-    """And all that a machine without network needs.
-
-    It is installed with umask 077, a newer evdev beside the listed one, and modules of Python's names in the current
-    folder.
-    """
+    """Installed without network, with umask 077, a newer evdev beside the listed one, and modules of Python's names."""
     carried, here = shared / "user" / "wheels", tmp_path / "here"
     code, said = install(tmp_path, release, "--build-wheelhouse", carried)
     assert code == 0, said

@@ -258,10 +258,7 @@ def test_residuals_within_the_frames_scale_the_noise():
 
 
 def test_the_expected_residual_of_a_frame_is_its_mean():
-    """Over 40 runs with the noise stated, from the first sighting of each disc on, within 10 %.
-
-    The map's standard deviation on the worse axis counts for both.
-    """
+    """Over 40 runs with the noise stated, from the first sighting of each disc on, within 10 %."""
     rng, squares, expected = np.random.default_rng(15), 0.0, 0.0
     for _ in range(40):
         state = OWN.initial(0.0, np.eye(3))

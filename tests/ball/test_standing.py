@@ -120,9 +120,9 @@ def test_a_flat_thing_that_moves_alone_is_no_ball_that_turns():
 STANDS = 12.0  # s
 
 
-def _with_spots(picture, spots, radius=6.0):
+def _with_spots(picture, spots):
     for x, y in np.rint(16.0 * spots).astype(int).tolist():
-        cv2.circle(picture, (x, y), round(16 * radius), (25, 25, 25), -1, cv2.LINE_AA, 4)
+        cv2.circle(picture, (x, y), 16 * 6, (25, 25, 25), -1, cv2.LINE_AA, 4)
     return picture
 
 
@@ -204,9 +204,9 @@ def waving_sleeve(picture, t):
     return _with_spots(picture, spots)
 
 
-def stand(disturbed, discs=12, seed=1):
+def stand(disturbed):
     """Return the farthest counts while the ball stands, the delay (s) and missing counts of the play after it."""
-    scene, rng = default_scene(discs, seed=seed), np.random.default_rng(7)
+    scene, rng = default_scene(12, seed=1), np.random.default_rng(7)
     play = Gestures((Gesture(STANDS, 1.2, (0.6, 0.0, -0.8), 0.9),), STANDS + 2.0)
     tracker, renderer = build(scene.rig(), scene.pose, Settings()), Renderer(scene, RenderOptions(noise=4.0))
     state, estimates, truth = begin(tracker, 0.0), [], []

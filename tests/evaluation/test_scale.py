@@ -179,10 +179,9 @@ def test_the_semi_minor_axis_is_that_of_the_rim(scale):
     assert np.isnan(axes[4:]).all()
 
 
-def correlated(rng, n, memory=5):
-    """Positive losses with the mean 2, of which `memory` adjacent ones share a part."""
-    z = rng.normal(size=n + memory)
-    smooth = np.convolve(z, np.ones(memory) / np.sqrt(memory), "same")[:n]
+def correlated(rng, n):
+    """Positive losses with the mean 2, of which five adjacent ones share a part."""
+    smooth = np.convolve(rng.normal(size=n + 5), np.ones(5) / np.sqrt(5), "same")[:n]
     return 2.0 * smooth**2
 
 

@@ -32,8 +32,8 @@ def filmed(profile, seed=0, noise=7e-4, fps=FPS):
     return RotationSteps(t[:-1], t[1:], log(R[1:] @ R[:-1].transpose(0, 2, 1)))
 
 
-def recorded(profile, trackball, seed=0, before=2.0, after=2.0):
-    return simulate_log(Shifted(profile).rate, BEGIN - before, BEGIN + profile.seconds + after, trackball, seed)
+def recorded(profile, trackball, seed=0):
+    return simulate_log(Shifted(profile).rate, BEGIN - 2.0, BEGIN + profile.seconds + 2.0, trackball, seed)
 
 
 def playing(seed, seconds=30.0):

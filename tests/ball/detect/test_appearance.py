@@ -16,8 +16,8 @@ STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array(
 PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 
 
-def device(camera, disc_radius=0.02, station=(0.5, -0.45, 1.6), centre=(0.01, -0.02, 0.005)):
-    station, centre = np.array(station), np.array(centre)
+def device(camera, disc_radius=0.02, station=(0.5, -0.45, 1.6)):
+    station, centre = np.array(station), np.array([0.01, -0.02, 0.005])
     # Beside the ball: its image is far from the middle, where distortion is strong
     aim = centre + np.array([0.35, 0.2, 0.0])
     return Rig(camera, Ball(0.6, centre), NO_TARGETS, disc_radius), Pose(looking_at(aim, station), station)

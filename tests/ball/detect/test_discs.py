@@ -43,11 +43,7 @@ def test_centres_through_a_lens_that_bends_from_nearer_by(turn):
 
 @pytest.mark.parametrize("noise", [2.0, 6.0, 12.0])
 def test_covariance_is_honest(noise):
-    """NIS of centres, chi-square with 2: not above it, with the floor `sigma` or without, and not far below.
-
-    It is about 0.8 where noise is what limits: pixels correlated by the smoothing are counted as independent ones of
-    the unsmoothed noise, which is on the safe side.
-    """
+    """NIS of centres, chi-square with 2: not above it, with the floor `sigma` or without, and not far below."""
     bare = disc_detector(replace(SETTINGS, sigma=0.01), RIG, POSE)
     nis, nis_floor = [], []
     for seed in range(5):
@@ -60,7 +56,7 @@ def test_covariance_is_honest(noise):
     high = chi2.ppf(0.999, 2 * n) / n
     assert np.mean(nis_floor) < high
     assert np.mean(nis) < 1.6 * high  # rounding, sampling and the lens are in neither
-    if noise > 5:
+    if noise > 5:  # about 0.8: pixels that the smoothing correlates count as independent ones of the unsmoothed noise
         assert np.mean(nis) > 0.25 * 2.0
 
 

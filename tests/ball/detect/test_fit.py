@@ -51,10 +51,9 @@ def blank(side):
     return np.meshgrid(x, x)
 
 
-def seen(fine, lens=LENS):
+def seen(fine):
     """Pixels of a picture given by subpixels."""
-    if lens > 0.0:
-        fine = cv2.GaussianBlur(fine, (0, 0), lens * OVER)
+    fine = cv2.GaussianBlur(fine, (0, 0), LENS * OVER)
     h, w = fine.shape
     return fine.reshape(h // OVER, OVER, w // OVER, OVER).mean(axis=(1, 3))
 
@@ -65,10 +64,10 @@ def inside(x, y, centre, shape):
     return q[0, 0] * dx * dx + 2.0 * q[0, 1] * dx * dy + q[1, 1] * dy * dy < 1.0
 
 
-def disc(side, centre, shape, ball=BALL, ink=PRINT, lens=LENS):
+def disc(side, centre, shape, ball=BALL, ink=PRINT):
     """(side, side) grey values of one disc; `ball` and `ink` are numbers or pictures of subpixels."""
     x, y = blank(side)
-    return seen(np.where(inside(x, y, centre, shape), ink, ball), lens)
+    return seen(np.where(inside(x, y, centre, shape), ink, ball))
 
 
 def digital(grey, noise, rng):
@@ -86,7 +85,7 @@ def fits_of(image, places, shape, noise=0.5, *, mask=None, settings=SETTINGS, pa
     return Fits(*fit_discs(image, mask, expected, noise, settings, settings.contrast, 0.0)[:4])
 
 
-def off_centre(rng, n, minor, ratio, noise=0.3):
+def off_centre(rng, n, minor, ratio):
     """Errors, (n, 2) px along the minor and the major axis, of one ellipse at random angles and subpixel places."""
     a, b = minor * ratio, minor
     side = int(2 * a + 16)
@@ -94,7 +93,7 @@ def off_centre(rng, n, minor, ratio, noise=0.3):
     for _ in range(n):
         shape = ellipse(a, b, rng.uniform(0.0, np.pi))
         c = side / 2 + rng.uniform(-0.5, 0.5, 2)
-        image = digital(disc(side, c, shape), noise, rng)
+        image = digital(disc(side, c, shape), 0.3, rng)
         found = fits_of(image, c + 0.3 * rng.uniform(-1, 1, 2), shape, 0.5)
         assert found.ok[0]
         errors.append((found.centroid[0] - c) @ np.linalg.eigh(shape)[1])

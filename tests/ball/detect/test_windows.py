@@ -121,10 +121,7 @@ def smeared(directions, rate, exposure, n=10):
 
 @pytest.mark.parametrize("rate", [(2.0, -1.5, 1.5), (0.0, 4.0, 3.0)])
 def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
-    """15 ms: ways of 4 to 14 px of a disc of 15 px. Told of the exposure the detector finds every one of them.
-
-    The longer ways bend by up to 0.6 px, and shorten as the disc turns aslant: both count.
-    """
+    """15 ms: ways of 4 to 14 px of a disc of 15 px, which bend by up to 0.6 px, and shorten as it turns aslant."""
     rate, exposure = np.array(rate), 0.015
     discs = spread(8, 3, 0.4, widest=0.8)
     truth = centre_of(discs, RIG, POSE)
@@ -193,10 +190,7 @@ def behind_a_strut(which, level, share, turn):
     ids=["black", "mid-grey", "as the ball", "light"],
 )
 def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
-    """NIS of what is kept, for each share from 10 to 90 % of the width: chi-square with 2, not above it.
-
-    With 30 % of its width before the strut a disc is measured, unless the strut is as dark as the disc.
-    """
+    """NIS of what is kept, for each share from 10 to 90 % of the width: chi-square with 2, not above it."""
     kept = {}
     for share in (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9):
         nis = []
@@ -208,7 +202,7 @@ def test_a_followed_disc_behind_a_strut_is_left_out_or_honest(level):
         kept[share] = len(nis)
         assert len(nis) == 0 or np.mean(nis) < chi2.ppf(0.999, 2 * len(nis)) / len(nis)
     assert kept[0.9] == 0
-    assert kept[0.7] > 0 or level < 10.0
+    assert kept[0.7] > 0 or level < 10.0  # unless the strut is as dark as the disc
 
 
 @pytest.mark.parametrize("level", [110.0, BALL])

@@ -363,13 +363,13 @@ def test_every_disc_of_a_ball_that_starts_to_turn_stays_in_use(angle):
         assert error_of(after, pushed) < 4.0 * SIGMA
 
 
-def jerky(rng, seconds, fastest=4.0):
+def jerky(rng, seconds):
     """Attitudes and rates at 30 Hz: a new constant acceleration every 0.1 to 0.5 s, after a rest of a second."""
     stamps, rates = [0.0, 1.0], [np.zeros(3), np.zeros(3)]
     while stamps[-1] < seconds:
         axis = rng.normal(size=3)
         stamps.append(stamps[-1] + rng.uniform(0.1, 0.5))
-        rates.append(rng.uniform(0.0, fastest) * axis / np.linalg.norm(axis))
+        rates.append(rng.uniform(0.0, 4.0) * axis / np.linalg.norm(axis))
     fine = np.arange(0.0, seconds, DT / 20.0)
     rate = np.stack([np.interp(fine, stamps, np.array(rates)[:, i]) for i in range(3)], axis=1)
     R, attitudes = np.eye(3), []
@@ -466,10 +466,10 @@ def test_a_steady_push_leaves_no_error_behind():
     assert np.linalg.norm(states[-1].acceleration - push) < 1.0
 
 
-def pushed(seconds, push=5.0):
-    """A state after a push from rest by `push` rad/s² for so long."""
-    t = np.arange(round((0.5 + seconds) / DT) + 1) * DT
-    angle = 0.5 * push * np.maximum(t - 0.5, 0.0) ** 2
+def pushed():
+    """A state after a push from rest by 5 rad/s² for 0.2 s."""
+    t = np.arange(22) * DT
+    angle = 2.5 * np.maximum(t - 0.5, 0.0) ** 2
     return film(FILTER, exp(angle[:, None] * np.array([1.0, 0.0, 0.0])), t, np.random.default_rng(0))[-1]
 
 
@@ -481,7 +481,7 @@ def unseen(state, frames):
 
 def test_an_unseen_push_fades():
     """Nothing tells how long a push lasts that is not seen: on the average about as long as `persistence`."""
-    state = pushed(0.2)
+    state = pushed()
     push, later = state.acceleration[0], unseen(state, 12)
     t, tau = 12 * DT, PERSISTENCE_S
     assert_allclose(later.rate[0] - state.rate[0], push * tau * (1.0 - np.exp(-t / tau)), rtol=0.3)
@@ -491,7 +491,7 @@ def test_an_unseen_push_fades():
 
 def test_a_ball_that_rests_whenever_it_is_seen_was_not_pushed_meanwhile():
     """Two of three frames show nothing, so each tells of a longer time: a push before is soon no reason for another."""
-    state, R, rng = pushed(0.2), exp(np.array([0.1, 0.0, 0.0])), np.random.default_rng(1)
+    state, R, rng = pushed(), exp(np.array([0.1, 0.0, 0.0])), np.random.default_rng(1)
     for k in range(1, 61):
         shown = DISCS if k <= 6 or k % 3 == 0 else DISCS[:0]
         state = follow(FILTER, state, [R], [state.stamp + DT], rng, shown)[-1]

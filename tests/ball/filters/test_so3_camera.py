@@ -64,18 +64,15 @@ def in_view(R, margin):
     return p[p @ STATION / np.linalg.norm(STATION) > RADIUS / np.linalg.norm(STATION) + margin]
 
 
-def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
-    """Mean squares of attitude and rate error, settled, of the filter's own motion seen with each of `errors`, (n, 10).
-
-    And the part of the true pairs that were made.
-    """
+def played(filter_, rig, pose, errors, rng):
+    """Mean squares of attitude and rate error with each of `errors`, (n, 10), and the part of true pairs made."""
     squares, used, possible = [], 0, 0
     for error in errors:
         through = other(rig, pose, error)
         state = filter_.initial(0.0, np.eye(3))
         known = np.zeros((0, 3))
-        for k, (R, w, _) in enumerate(own_motion(rng, frames)):
-            d = in_view(R, margin)
+        for k, (R, w, _) in enumerate(own_motion(rng, 60)):
+            d = in_view(R, 0.3)
             points = intersect(detected(image_of(d, *through), rng, PIXEL), rig, pose)
             state = filter_.update(filter_.predict(state, k * DT), points)
             # the discs that were in view before: each of them is a pair
@@ -176,10 +173,7 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
 
 
 def test_update_with_considered_errors_is_the_batch_solution():
-    """Two frames of five discs: least squares over pixels with pose and ball as unknowns that have a prior.
-
-    After one update Schmidt's estimate of the rest is that of the full filter; the axes keep their prior.
-    """
+    """Two frames of five discs: least squares over pixels with pose and ball as unknowns that have a prior."""
     scale, dt, jolt, sigma = 2e-3, 0.1, 1e-4, 1e-4
     rig, pose, consider = station(scale)
     quiet = replace(consider.settings, acceleration_sigma=jolt, start_rate_sigma=1e-4)
@@ -272,10 +266,10 @@ def test_points_of_a_rolling_shutter_give_the_attitude_at_the_stamp():
     assert np.all(np.std(errors, axis=0) < 1.3 * sigma)
 
 
-def played_through(filter_, shutter, known, seed, seconds=6.0):
-    """The last state, and the squares of the attitude's errors, (frames,) rad², while somebody plays."""
-    motion, rng = play(seconds, np.random.default_rng(seed)), np.random.default_rng(100 + seed)
-    stamps = np.arange(0.0, seconds, DT)
+def played_through(filter_, shutter, known, seed):
+    """The last state, and the squares of the attitude's errors, (frames,) rad², while somebody plays for 6 s."""
+    motion, rng = play(6.0, np.random.default_rng(seed)), np.random.default_rng(100 + seed)
+    stamps = np.arange(0.0, 6.0, DT)
     attitudes = motion.attitude(stamps)
     state, squares = filter_.initial(0.0, attitudes[0]), []
     for t, R in zip(stamps, attitudes, strict=True):
@@ -299,11 +293,9 @@ def test_the_readout_is_learnt_from_play(shutter):
 
 
 def test_the_readout_is_as_certain_as_it_says():
-    """60 runs that start at a known rate: chi-square, 99 % band (three looks at the same runs), with the attitude.
-
-    Discs added before the rate is known make it too certain: rate times readout is in no Jacobian.
-    """
+    """60 runs, with the attitude: chi-square, 99 % band (three looks at the same runs)."""
     rng = np.random.default_rng(36)
+    # Discs added before the rate is known make the readout too certain: rate times readout is in no Jacobian
     own = replace(LEARNING, settings=replace(OWN.settings, start_rate_sigma=0.01))
     runs, checks, squares = 60, (10, 30, 59), []
     for _ in range(runs):

@@ -108,10 +108,7 @@ def test_with_map_and_to_map_are_inverses():
 
 @pytest.mark.parametrize("axes", [3, 1])
 def test_an_error_that_attitude_and_discs_share_is_never_measured(axes):
-    """Pushed again and again while no disc is in view, each time with a large correction: NEES, and the variance.
-
-    The error has all directions, or one, which the discs then fix in two axes.
-    """
+    """Pushed again and again while no disc is in view, each time with a large correction: NEES, and the variance."""
     rng, sigma, squares, sigmas = np.random.default_rng(8), 0.08, [], []
     shared = np.diag([0.0, 0.0, 1.0]) if axes == 1 else np.eye(3)
     for _ in range(20):
@@ -152,10 +149,7 @@ def test_a_point_in_the_wide_gate_of_a_disc_makes_no_certain_frame():
 
 
 def test_a_candidate_measures_the_turn_since_its_first_sighting():
-    """One known disc, a turn about it while a candidate is in view, and the proof two frames later.
-
-    40 balls: NEES of the attitude, and a turn that is known before and after to the noise of the images.
-    """
+    """40 balls: one known disc, a turn about it while a candidate is in view, and the proof two frames later."""
     rng, squares, twist, known = np.random.default_rng(9), [], [], DISCS[[0]]
     for _ in range(40):
         R = exp(np.cross(DISCS[0], [0.0, 0.0, 1.0])) @ exp(0.1 * rng.normal(size=3))

@@ -12,9 +12,9 @@ from spheremouse.geometry.least_squares.sphere import algebraic_sphere, fit_sphe
 CENTRE, RADIUS = np.array([0.3, 0.6, -0.56]), 0.6
 
 
-def cap(rng, n, half=1.0):
+def cap(rng, n):
     """Points of the front of a ball, and a covariance that is larger in depth and correlated between points."""
-    z = rng.uniform(np.cos(half), 1.0, n)
+    z = rng.uniform(np.cos(1.0), 1.0, n)
     a = rng.uniform(0.0, 2.0 * np.pi, n)
     u = np.stack([np.sqrt(1 - z**2) * np.cos(a), np.sqrt(1 - z**2) * np.sin(a), z], 1)
     points = CENTRE + RADIUS * u
