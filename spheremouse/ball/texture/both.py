@@ -23,8 +23,8 @@ from spheremouse.ball.phases.method import SO3
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.texture.detect import detect_texture
 from spheremouse.ball.texture.detector import Texture
-from spheremouse.ball.texture.method import detect_texture
 from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.search import TextureDetector, TextureState
 from spheremouse.geometry.camera import Pose

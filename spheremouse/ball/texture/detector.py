@@ -15,7 +15,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.texture.method import TURNING, detect_texture
+from spheremouse.ball.texture.detect import TURNING, detect_texture
 from spheremouse.ball.texture.picture import (
     SHADING_PX,
     contrast_noise,
