@@ -8,6 +8,7 @@ from itertools import permutations, product
 import cv2
 import numpy as np
 import pytest
+from daemon_world import RawPicture
 from numpy.testing import assert_array_equal
 from scipy import spatial
 
@@ -23,7 +24,6 @@ from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
 from tests.ball.detect.test_rings import INK, RADII, SETTINGS, blank, photo, target
 from tests.session.test_worker import SETTINGS as TWO_VIEWS
-from tests.session.test_worker import RawFrame
 
 PROPORTION = RADII / RADII[-1]
 PATIENCE = 30.0  # s, for what takes a fraction of one
@@ -228,7 +228,8 @@ def film(seconds, **options):
     frames = []
     for k, made in enumerate(simulate(sim)):
         colour = made.frame.image
-        frames.append(RawFrame(colour, np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), dtype=np.uint8), k))
+        grey = np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        frames.append(RawPicture(colour, grey, k / 30.0, k))
     return sim, frames
 
 
@@ -273,7 +274,7 @@ def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
     elsewhere.do()
     if stale:
         for k, raw in enumerate(before):
-            work(worker, RawFrame(raw.frame(True).image, raw.frame(False).image, 24 + k))
+            work(worker, RawPicture(raw.frame(True).image, raw.frame(False).image, (24 + k) / 30.0, 24 + k))
         assert np.array_equal(worker.pose.position, sim.scene.pose.position)
     else:
         work(worker, frames[24])
