@@ -33,8 +33,6 @@ Length = Annotated[float, Field(ge=1e-4, le=2.0)]  # m: a tenth of a millimetre 
 
 @dataclass(frozen=True, slots=True)
 class WandFile:
-    """A ball, and the bounds of its colours."""
-
     ball: WandBall
     colours: dict[str, ColourSettings]  # of every colour on the ball, and of no other
 
@@ -86,7 +84,6 @@ def save_wand(
 def wand_text(
     ball: WandBall, colours: Mapping[str, ColourSettings] | None = None, provenance: Mapping[str, Any] | None = None
 ) -> str:
-    """Return a ball as YAML, with the bounds of its colours if given."""
     lines = [
         "# A hand-held ball. Lengths in m, angles in degrees. Frame: origin at the centre, pole away from the stick,",
         "# azimuth counter-clockwise seen from above. A disc's diameter is measured straight across its rim.",

@@ -89,7 +89,6 @@ def move_part(part: Path, path: Path) -> None:
 
 
 def _whole_batches(stream: Any) -> Iterator[Any]:
-    """Yield the whole batches of a stream."""
     try:
         yield from stream
     except (OSError, ValueError) as e:

@@ -52,6 +52,5 @@ def sent_as(spec: str) -> str:
 
 
 def _third_option(argument: str) -> str:
-    """Return the value of the option `third` in an output's argument."""
     pairs = (part.partition("=") for part in argument.split(","))
     return next((value.strip() for key, _, value in pairs if key.strip() == "third"), NONE)

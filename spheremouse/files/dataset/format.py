@@ -42,8 +42,6 @@ class Entry(Part):
 
 
 class CameraEntry(Entry):
-    """The interior orientation."""
-
     fx: Positive
     fy: Positive
     cx: float
@@ -68,7 +66,6 @@ class SceneEntry(Entry):
     exposure_s: Annotated[float, Field(ge=0)] = 0.0
 
     def interior_orientation(self, camera: CameraEntry) -> InteriorOrientation:
-        """Return the interior orientation of a camera with this size."""
         c = camera
         return InteriorOrientation(self.width, self.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist, dtype=float))
 

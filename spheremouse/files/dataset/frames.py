@@ -49,7 +49,6 @@ def read_stamps(folder: Path, frames: int) -> Stamps | None:
 
 
 def fractional(column: Array) -> bool:
-    """Return True if any of the numbers (n,) is not whole."""
     return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 

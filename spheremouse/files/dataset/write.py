@@ -128,7 +128,6 @@ class FilmWriter:
         self._rows = _begin_table(self._files, self.folder / "stamps.csv", STAMP_COLUMNS)
 
     def add(self, frame: Frame) -> None:
-        """Add a frame, grey or in colour."""
         assert self._pictures is not None
         stamp, colour = float(frame.stamp), int(frame.image.ndim == 3)
         self._rows.writerow([self._pictures.written, repr(stamp), int(frame.sequence), colour])
@@ -137,7 +136,6 @@ class FilmWriter:
 
     @property
     def frames(self) -> int:
-        """Number of frames written."""
         return len(self._stamps)
 
     def size(self) -> int:

@@ -24,7 +24,6 @@ def page(title: str, lead: str, body: Markup, foot: str = "", paper: str | None 
 
 
 def render(package: str, name: str, **values: object) -> Markup:
-    """Return a template of a package with values put in."""
     return Markup(_templates(package).get_template(name).render(values))
 
 
