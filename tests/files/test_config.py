@@ -371,9 +371,9 @@ def test_the_settings_of_daily_use_are_thirty_and_are_written_with_their_default
 
 
 def test_every_parameter_of_the_program_says_what_it_is():
-    found = {about["key"]: about["meaning"] for about in config.describe(Configuration())}
-    assert "motion.counts_per_mm" in found
-    assert all(len(meaning) > 5 for meaning in found.values())
+    found = {about["key"]: about for about in config.describe(Configuration())}
+    assert found["motion.counts_per_mm"]["unit"] == "counts/mm"
+    assert [key for key, about in found.items() if len(about["meaning"]) <= 5] == []
 
 
 @pytest.fixture
