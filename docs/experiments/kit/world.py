@@ -21,7 +21,7 @@ NEW = "so3, new ball"  # so3 before a ball that it has not seen from all sides
 WHO = (*TRACKERS, NEW)
 RATES = (15.0, 30.0, 60.0, 120.0, 240.0)  # Hz
 DISCS = 50  # as the thesis' set S2: with fewer the published filters lose the ball by gaps between discs, not by speed
-WRONG = 3.0  # °, by which what was turned within HOLD may be off
+WRONG = 3.0  # °, largest error of a turn within HOLD
 HOLD = 0.4  # s, for which a rate has to be followed
 NOISE = 3.0  # grey values
 _RIM = 12  # points of a disc's rim that are looked at
@@ -130,7 +130,7 @@ class Course:
     error: Array  # (n, 3, 3)
 
     def then(self, state: TrackState, attitude: Array) -> "Course | None":
-        """One frame later; None where the ball is lost, or what it turned within the last HOLD is wrong."""
+        """Return the course one frame later; None if the ball is lost, or its turn within the last HOLD is wrong."""
         now, error = state.filter.stamp, rotation_error(state, attitude)
         recent = self.time >= now - HOLD
         cosine = 0.5 * (np.sum(self.error[recent] * error, axis=(1, 2)) - 1.0)

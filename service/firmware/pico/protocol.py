@@ -45,7 +45,7 @@ class Device:
         self.buttons = 0  # asked for
         self.reported = 0  # of the last report
         self.usb_ready = False  # by `set_usb`
-        self.untold = False  # the computer has been away: what it knows of the buttons is not known
+        self.untold = False  # the computer was away, and may have forgotten the buttons
         self.fine = 0  # resolution multipliers: bit 0 wheel, bit 1 pan
         self.report = bytearray(9)
         self.refused = self.lost = 0  # modulo 2^16
@@ -195,13 +195,13 @@ class Device:
     # ---- to USB ----
 
     def set_usb(self, ready):
-        """Whether USB takes reports. A computer that was away is told the buttons anew when it is back."""
+        """Note whether USB takes reports. A computer that returns gets the buttons again."""
         if not ready and self.reports:
             self.untold = True
         self.usb_ready = ready
 
     def due(self):
-        """Whether `report` has to be sent now; `passed_on` says that it was."""
+        """Return whether `report` must be sent now. After sending, call `passed_on`."""
         if not self.usb_ready:
             return False
         report = self.report

@@ -125,7 +125,7 @@ def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], d
 
 
 def _borders(ids: NDArray[np.int64] | Array) -> NDArray[np.bool_]:
-    """Pixels with a different neighbour, (h, w), and those above and below them: what only grazes a pixel is in."""
+    """Return a mask, (h, w), of pixels with a different neighbour, and of those above and below them."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     border = np.asarray(cv2.morphologyEx(ids.astype(np.float32), cv2.MORPH_GRADIENT, cross)) > 0.0
     return np.asarray(cv2.dilate(border.astype(np.uint8), np.ones((3, 1), dtype=np.uint8))) > 0
