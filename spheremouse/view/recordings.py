@@ -91,7 +91,8 @@ class Recordings:
         reports of hand-held balls are of the whole recording, which can take minutes. Raises ControlError for a longer
         section, an unknown recording, one that cannot be tracked, during another comparison, and after `stop`.
         """
-        recording, status = await self._recording(name), self._daemon.status or {}
+        recording = await self._recording(name)
+        status = await self._daemon.ask("status") if self._daemon.status else {}  # with a change made just now
         end = min(end or recording.seconds, recording.seconds)
         if end - begin > _MAX_COMPARED and not recording.wand:
             raise ControlError(f"compare: {end - begin:.0f} s; choose a section of at most {_MAX_COMPARED:g} s")
