@@ -25,14 +25,11 @@ class Recordings:
     def __init__(self, daemon: DaemonLink) -> None:
         self._daemon, self._live = daemon, daemon.socket
         self._replay: ReplayProcess | None = None
-        self._runs: list[asyncio.Task[Message]] = []  # of the comparison that is under way
+        self._comparison: asyncio.Task[Message] | None = None  # that is under way
         self._ending: asyncio.Task[str] | None = None  # waits for the end of the last replay
 
     async def listed(self) -> Message:
-        """Return the recordings, as `Listed` with their names in place of paths, and the folders that were searched.
-
-        Raises ControlError if a folder cannot be read.
-        """
+        """Return recordings as `Listed`, without paths, and the folders. Raises ControlError if one cannot be read."""
         found = await asyncio.to_thread(self._find)
         recordings = [each._asdict() | {"path": None, "name": name} for name, each in found.items()]
         return {"recordings": recordings, "folders": [str(folder) for folder in self._folders()]}
@@ -91,6 +88,19 @@ class Recordings:
         reports of hand-held balls are of the whole recording, which can take minutes. Raises ControlError for a longer
         section, an unknown recording, one that cannot be tracked, during another comparison, and after `stop`.
         """
+        if self._comparison is not None:
+            raise ControlError("compare: another comparison is under way", "wait for it, or stop it")
+        task = self._comparison = asyncio.create_task(self._compared(name, begin, end))
+        try:
+            return await task
+        except asyncio.CancelledError:
+            if self._comparison is task:  # the browser has left
+                raise
+            raise ControlError("the comparison was ended before its result") from None
+        finally:
+            self._comparison = None if self._comparison is task else self._comparison
+
+    async def _compared(self, name: str, begin: float, end: float | None) -> Message:
         recording = await self._recording(name)
         status = await self._daemon.ask("status") if self._daemon.status else {}  # with a change made just now
         end = min(end or recording.seconds, recording.seconds)
@@ -99,25 +109,16 @@ class Recordings:
         words = ["evaluate", str(recording.path), "--json", "-", *self._options(recording)]
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
         changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
-        runs = [words, [*words, *changes]] if changes else [words]
-        if self._runs:
-            raise ControlError("compare: another comparison is under way", "wait for it, or stop it")
-        self._runs = [asyncio.create_task(child.answer(self._daemon.socket, *run, timeout=None)) for run in runs]
-        try:
-            before, *after = await asyncio.gather(*self._runs)
-        except asyncio.CancelledError:
-            if not all(run.cancelled() for run in self._runs):  # the browser has left
-                raise
-            raise ControlError("the comparison was ended before its result") from None
-        finally:
-            self.stop()
-            self._runs = []
+        each = [words, [*words, *changes]] if changes else [words]
+        runs = (child.answer(self._daemon.socket, *one, timeout=None) for one in each)
+        before, *after = await asyncio.gather(*runs)
         return {"before": before, "after": after[0] if after else before}
 
     def stop(self) -> str:
         """End the comparison that is under way, if there is one. Return a message."""
-        for run in self._runs:
-            run.cancel()
+        task, self._comparison = self._comparison, None
+        if task is not None:
+            task.cancel()
         return ""
 
     async def _await_end(self, replay: ReplayProcess) -> str:

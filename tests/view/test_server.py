@@ -536,6 +536,11 @@ def test_a_long_comparison_reports_its_time_and_can_be_ended(page, clip, monkeyp
     monkeypatch.setattr(server_module, "_PROGRESS_INTERVAL_S", 0.05)
     with Browser(page) as browser, Browser(page) as other:
         browser.until("status", lambda m: m["status"])
+        for action, arguments in (("compare", {"name": clip}), ("stop", {})):  # before anything runs
+            browser.socket.send(json.dumps({"type": "do", "id": 8, "action": action, "arguments": arguments}))
+        assert "was ended" in browser.until("trouble", lambda m: m["id"] == 8)["text"]
+        running.clear()
+        ended.clear()
         browser.socket.send(json.dumps({"type": "do", "id": 9, "action": "compare", "arguments": {"name": clip}}))
         assert browser.until("progress")["id"] == 9
         assert running.wait(PATIENCE)
