@@ -119,8 +119,13 @@ def compared(monkeypatch, folder, seconds, changes=(), **scene):
         return {}
 
     monkeypatch.setattr(child, "answer", answer)
-    status = STATUS | {"recordings": str(folder), "changes": changes}
-    daemon = SimpleNamespace(status=status, socket=None, values=lambda: {"values": {}})
+    status = STATUS | {"recordings": str(folder), "changes": ["discs.contrast=0.1"]}  # before the last change
+
+    async def ask(command):
+        assert command == "status"
+        return status | {"changes": changes}
+
+    daemon = SimpleNamespace(status=status, socket=None, values=lambda: {"values": {}}, ask=ask)
     with ThreadPoolExecutor() as pool:  # since Playwright may have a loop in this thread
         pool.submit(asyncio.run, Recordings(daemon).compare("r", 0.5, seconds - 0.5)).result()
     return asked
