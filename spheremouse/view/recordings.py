@@ -63,8 +63,7 @@ class Recordings:
         self.end()
         with contextlib.suppress(NoDaemonError):
             present = (await self._daemon.ask("status"))["changes"]
-            new = values_of(change for change in changes if change not in present)
-            if new:
+            if new := values_of(change for change in changes if change not in present):
                 await self._daemon.set(new, "replay")
         return "The page shows the camera."
 
@@ -90,15 +89,15 @@ class Recordings:
         """
         if self._comparison is not None:
             raise ControlError("compare: another comparison is under way", "wait for it, or stop it")
-        task = self._comparison = asyncio.create_task(self._compared(name, begin, end))
+        self._comparison = asyncio.create_task(self._compared(name, begin, end))
         try:
-            return await task
+            return await self._comparison
         except asyncio.CancelledError:
-            if self._comparison is task:  # the browser has left
+            if (task := asyncio.current_task()) and task.cancelling():  # the browser has left
                 raise
             raise ControlError("the comparison was ended before its result") from None
         finally:
-            self._comparison = None if self._comparison is task else self._comparison
+            self._comparison = None
 
     async def _compared(self, name: str, begin: float, end: float | None) -> Message:
         recording = await self._recording(name)
@@ -109,16 +108,14 @@ class Recordings:
         words = ["evaluate", str(recording.path), "--json", "-", *self._options(recording)]
         words += [] if recording.wand else ["--begin", str(begin), "--end", str(end)]
         changes = [word for change in status.get("changes") or [] for word in ("--set", change)]
-        each = [words, [*words, *changes]] if changes else [words]
-        runs = (child.answer(self._daemon.socket, *one, timeout=None) for one in each)
-        before, *after = await asyncio.gather(*runs)
+        both = [words, [*words, *changes]] if changes else [words]
+        before, *after = await child.answers(self._daemon.socket, *both)
         return {"before": before, "after": after[0] if after else before}
 
     def stop(self) -> str:
         """End the comparison that is under way, if there is one. Return a message."""
-        task, self._comparison = self._comparison, None
-        if task is not None:
-            task.cancel()
+        if self._comparison is not None:
+            self._comparison.cancel()
         return ""
 
     async def _await_end(self, replay: ReplayProcess) -> str:

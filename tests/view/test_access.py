@@ -139,3 +139,24 @@ def test_a_section_is_tracked_by_the_saved_settings_and_by_those_that_were_chang
     with pytest.raises(ControlError, match="at most 60 s"):
         compared(monkeypatch, tmp_path, 62)
     assert compared(monkeypatch, tmp_path, 62, wand={}) == [(*CONFIG, "--tracker", "wand")]  # which has no section
+
+
+def test_a_command_that_is_refused_ends_those_beside_it(monkeypatch):
+    ended = []
+
+    async def answer(_, word, timeout):
+        try:
+            await asyncio.sleep(0.0 if word == "refused" else 60.0)
+        finally:
+            ended.append(word)
+        raise ControlError(word)
+
+    async def both():
+        with pytest.raises(ControlError, match="refused"):
+            await child.answers(None, ["long"], ["refused"])
+        await asyncio.sleep(0.0)
+        assert ended == ["refused", "long"]
+
+    monkeypatch.setattr(child, "answer", answer)
+    with ThreadPoolExecutor() as pool:
+        pool.submit(asyncio.run, both()).result()

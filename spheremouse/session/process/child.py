@@ -49,6 +49,19 @@ async def answer(
         raise ControlError(f"spheremouse {words[0]}: prints no JSON; see the log of the page") from None
 
 
+async def answers(socket: Path | None, *commands: list[str]) -> list[dict[str, Any]]:
+    """Return the JSON of commands that run at once, however long they take.
+
+    Raises ControlError as `answer`. If one of them fails, or the caller is cancelled, all are killed.
+    """
+    runs = [asyncio.create_task(answer(socket, *words, timeout=None)) for words in commands]
+    try:
+        return await asyncio.gather(*runs)
+    finally:
+        for run in runs:
+            run.cancel()
+
+
 def problem_in(lines: list[str]) -> str:
     """Return the last line of a command that failed, without its name."""
     return printable(lines[-1].removeprefix("spheremouse: ")) if lines else ""
