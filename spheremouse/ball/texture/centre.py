@@ -104,13 +104,12 @@ def follow_in_bearings(
     `stamp` is in s, and `predicted` is the filter's state predicted for it. Returns the state and its events: the
     centre has moved for the first time, or the ball is lost since it is lifted.
     """
-    now, check, events = state.search, state.centre, ()
+    now, events = state.search, ()
     seen = now.shift
     if seen is None or now.searched:
         return follow(state, stamp, tracker, predicted), ()
-    dt, moves = interval(state, stamp), predicted.centre_noise > 0.0
+    check, dt, moves = now.check, interval(state, stamp), predicted.centre_noise > 0.0
     if not moves:
-        check = update_check(check, seen, now, predicted, dt)
         if not has_moved(check):
             return follow(state._replace(centre=check), stamp, tracker, predicted), ()
         events = () if check.moved else (OutOfRound(),)

@@ -19,7 +19,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.phases.bearing import interval
 from spheremouse.ball.rig import view_of
-from spheremouse.ball.state import Learning, Recognising, Tracker, TrackState
+from spheremouse.ball.state import CentreCheck, Learning, Recognising, Tracker, TrackState
 from spheremouse.ball.texture.centre import has_moved, image_shift, is_lifted, is_measured, measure_centre, update_check
 from spheremouse.ball.texture.picture import (
     DETAIL,
@@ -104,15 +104,14 @@ def detect_texture(
     alignment, turns = near(detector, fit.state, expected)
     if lost and not (before.turned or turns):
         alignment = None  # a static scene would fit
-    searched = alignment is None and before.turned
-    if searched:
+    if alignment is None and before.turned:
         near_to = None if isinstance(state.phase, Recognising) else expected
         shutter = _shutter(state, frame.stamp, readout)
         alignment, now = search(detector, fit.state, near_to, lost, shutter)
-        fit = fit._replace(state=now)
+        fit = fit._replace(state=now._replace(searched=True))
     elif before.turned and before.alignment is None and alignment is not None:
         alignment = None if is_ambiguous(detector, fit.state, alignment) else alignment
-    fit = fit._replace(alignment=alignment, state=fit.state._replace(searched=searched))
+    fit = fit._replace(alignment=alignment)
     if alignment is not None and before.turned and not tracker.detector.sees_discs:
         fit = _at_seen_centre(state, frame.stamp, tracker, predicted, fit, sample)
     return _learnt(fit, tracker, predicted, turns=turns, stamp=frame.stamp)
@@ -131,6 +130,7 @@ class _Fit(NamedTuple):
     state: TextureState
     alignment: Alignment | None = None
     shift: SeenCentre | None = None  # of the centre from its place, if it was measured
+    check: CentreCheck = CentreCheck()  # of the bearings, after that measurement
 
 
 def _sample(detector: TextureDetector, before: TextureState, image: Image, skew: Array, off: Array) -> _Fit:
@@ -162,14 +162,16 @@ def _at_seen_centre(
         return fit
     if lost and is_lifted(shift, state, tracker):
         return fit._replace(alignment=None)
-    check = update_check(state.centre, shift, fit.state, predicted, interval(state, stamp))
+    check = state.centre
+    if not (moves or fit.state.searched):
+        check = update_check(check, shift, fit.state, predicted, interval(state, stamp))
     if fit.state.searched or not (moves or has_moved(check)):
-        return fit._replace(shift=shift)
+        return fit._replace(shift=shift, check=check)
     there = sample(image_shift(tracker, shift.axes @ shift.place))
     alignment, _ = near(detector, there.state, fit.alignment.attitude)
     if alignment is None:  # the shift explains nothing
         return fit
-    return there._replace(alignment=alignment, shift=shift, state=there.state._replace(searched=False))
+    return there._replace(alignment=alignment, shift=shift, check=check)
 
 
 def _learnt(
@@ -196,7 +198,7 @@ def _learnt(
     if alignment is not None and turns and not proven and _path(detector, now, alignment) > _apart(detector.fine):
         clear = significance(alignment) > CLEAR  # else no search would find a lost ball
         proven = clear and _turns_all_over(detector.fine, now.fine, alignment.attitude, fit.noise)
-    return found, now._replace(alignment=alignment, shown=anchors, proven=proven, shift=fit.shift)
+    return found, now._replace(alignment=alignment, shown=anchors, proven=proven, shift=fit.shift, check=fit.check)
 
 
 def _with_running_means(now: TextureState, alignment: Alignment) -> TextureState:
@@ -238,7 +240,10 @@ def _with_contrast(
         else:
             seen = with_skew(view, without_past(first_seen(view, contrast)), skew)
             levels.append(Level(seen, resize(level.picture, view.cells)))
-    return before._replace(view=detector.fine, fine=levels[0], coarse=levels[1], frame_index=before.frame_index + 1)
+    fine, coarse = levels
+    return before._replace(
+        view=detector.fine, fine=fine, coarse=coarse, frame_index=before.frame_index + 1, searched=False
+    )
 
 
 def _details(now: TextureState) -> int:

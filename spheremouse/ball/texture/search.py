@@ -17,6 +17,7 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import unmasked
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.state import CentreCheck
 from spheremouse.ball.texture.chart import IN_PLACE, Chart, Resampling, chart_of, resampling
 from spheremouse.ball.texture.picture import (
     DETAIL,
@@ -148,6 +149,7 @@ class TextureState(NamedTuple):
     unseen: float = 0.0  # share of recent frames that showed no rotation about some axis
     reported: tuple[bool, bool] = (False, False)  # by events: frames show no rotation about some axis; `repeats`
     shift: SeenCentre | None = None  # of the ball's centre in the last frame, from its place, if it was measured
+    check: CentreCheck = CentreCheck()  # of the bearings, after that measurement
     last_plain_stamp: float = -np.inf  # s, stamp of the last frame without a fit that showed few details
     shown: NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # (n,) the anchors of the last frame's detections
 
