@@ -61,13 +61,13 @@ def test_a_frame_waits_until_the_one_before_is_released(replay):
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_the_pace_is_that_of_the_stamps_times_the_speed(replay, speed):
     replay.control(Controls(speed=speed))
-    expected, spent = (COUNT - 1) * STEP / speed, []
-    while len(spent) < 20 and (not spent or min(spent) > 1.3 * expected):  # a busy computer lengthens some
+    spent = []
+    for _ in range(5):  # a busy computer delays the first frame of one pass, and the last of another
         played(replay, 1)
         begun = time.monotonic()
         played(replay, COUNT - 1)
         spent.append(time.monotonic() - begun)
-    assert min(spent) == pytest.approx(expected, rel=0.3)
+    assert np.median(spent) == pytest.approx((COUNT - 1) * STEP / speed, rel=0.3)
 
 
 def test_the_section_is_played_and_each_pass_begins_anew(replay):
