@@ -60,14 +60,14 @@ def test_a_frame_waits_until_the_one_before_is_released(replay):
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_the_pace_is_that_of_the_stamps_times_the_speed(replay, speed):
-    replay.control(Controls(speed=speed))
-    spent = []
-    for _ in range(5):  # a busy computer delays the first frame of one pass, and the last of another
-        played(replay, 1)
+    expected, spent = (COUNT - 1) * STEP / speed, []
+    for _ in range(5):  # a busy computer makes a pass longer, never shorter
         begun = time.monotonic()
-        played(replay, COUNT - 1)
+        replay.control(Controls(speed=speed), rewind=True)
+        played(replay, COUNT)
         spent.append(time.monotonic() - begun)
-    assert np.median(spent) == pytest.approx((COUNT - 1) * STEP / speed, rel=0.3)
+    assert min(spent) >= expected
+    assert min(spent) == pytest.approx(expected, rel=0.3)
 
 
 def test_the_section_is_played_and_each_pass_begins_anew(replay):
