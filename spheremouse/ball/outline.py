@@ -13,12 +13,12 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, sphere_outline, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
+from spheremouse.native import kernels
 
 _POINTS = 240  # of the outline
 _MAX_ERROR = 0.05  # relative, largest error of the radius: five standard deviations of a tape
 _STEP_PX = 0.25  # between samples
-_SLOPE = 8  # samples on each side of an edge
-_MIXED = 4  # samples that mix with a pixel beside them
+_SLOPE = 8  # samples on each side of an edge, as in outline.cpp
 # px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
 _MASK_MARGIN_PX = 13
 _MIN_SLOPE_RATIO = 8.4  # times the median slope, from which one is an edge: five standard deviations of noise above it
@@ -170,20 +170,12 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     if not (inside.any() and px < max(w, h)):
         return _Edges(np.zeros(0), np.zeros((0, 3)), 0, px)
     step = _STEP_PX / px
-    error = np.arange(-reach - _SLOPE * step, reach + _SLOPE * step, step)
-    line = uv[inside, None] + error[:, None] / reach * (larger - uv)[inside, None]
-    x, y = (np.ascontiguousarray(line[:, :, i], dtype=np.float32) for i in (0, 1))
-    samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    colours = np.array(cv2.split(samples))  # (c, n, m)
-    black = cv2.dilate((colours.max(axis=0) == 0).astype(np.uint8), np.ones((1, 2 * _SLOPE + 2 * _MIXED + 1)))
-    sums = np.pad(np.cumsum(colours, axis=2, dtype=np.int32), ((0, 0), (0, 0), (1, 0)))
-    steps = sums[:, :, 2 * _SLOPE :] - 2 * sums[:, :, _SLOPE:-_SLOPE] + sums[:, :, : -2 * _SLOPE]
-    slope = np.abs(steps).max(axis=0) / _SLOPE  # of the colour that has the largest
-    unknown = black[:, _SLOPE : _SLOPE + slope.shape[1]] > 0  # a recording has no pixels there
-    usual = slope[~unknown] if not unknown.all() else np.zeros(1)
-    slope[unknown] = 0.0
-    clear = slope.max(axis=1) > _MIN_SLOPE_RATIO * max(float(np.median(usual)), 1e-6)
+    first, samples = -reach - _SLOPE * step, int(2.0 * reach / step) + 2 * _SLOPE
+    way = (larger - uv)[inside] / reach  # px, by an error of 1
+    colours = np.ascontiguousarray(image if image.ndim == 3 else image[..., None])
+    slope, where, usual = kernels.outline_slopes(colours, uv[inside] + first * way, step * way, samples)
+    clear = slope > _MIN_SLOPE_RATIO * max(usual, 1e-6)
     ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
     ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
-    error = error[_SLOPE : _SLOPE + slope.shape[1]][slope.argmax(axis=1)][clear]
-    return _Edges(error, (ray - centre) / radius @ pose.rotation.T, len(line), px)
+    error = np.asarray(first + step * (where[clear] - 0.5), float)  # half-way from the sample before
+    return _Edges(error, (ray - centre) / radius @ pose.rotation.T, len(slope), px)

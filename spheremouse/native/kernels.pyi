@@ -240,6 +240,16 @@ def shift_of(
     `centre_offset.shift_of` describes the arguments. `points` is SpherePoints.measurement, and `discs` a KnownDiscs.
     """
 
+# spheremouse/ball/outline.cpp
+
+def outline_slopes(image: _Byte, starts: _Float, steps: _Float, samples: int) -> tuple[_Float, _Index, float]:
+    """Return the greatest peak of the slopes on n lines in an image (h, w, c), its sample, and all slopes' median.
+
+    A slope is the difference of the means of 8 samples before a sample, and of 8 from it on, of the colour that differs
+    most. A line has `samples`, from a place (n, 2) px by steps (n, 2) px. Slopes near black samples do not count. A
+    line without a peak has 0 and sample 0.
+    """
+
 # spheremouse/ball/detect/appearance.cpp
 
 def appearance(

@@ -14,6 +14,7 @@ void bind_centre_offset(nb::module_& m);
 void bind_evidence(nb::module_& m);
 void bind_fit(nb::module_& m);
 void bind_learn(nb::module_& m);
+void bind_outline(nb::module_& m);
 void bind_photo(nb::module_& m);
 void bind_hypotheses(nb::module_& m);
 void bind_points(nb::module_& m);
@@ -47,11 +48,12 @@ NB_MODULE(kernels, m) {
     look_up(dtype<uint8_t>, "uint8");
     look_up(dtype<bool>, "bool_");
     for (auto bind : {bind_camera, bind_matching, bind_rotation}) bind(m);
-    for (auto bind : {ball::bind_align,         ball::bind_anchors,       ball::bind_learn,      ball::bind_appearance,
-                      ball::bind_centre_offset, ball::bind_chart,         ball::bind_evidence,   ball::bind_fit,
-                      ball::bind_photo,         ball::bind_hypotheses,    ball::bind_points,     ball::bind_search,
-                      ball::bind_so3_frame,     ball::bind_so3_map,       ball::bind_so3_match,  ball::bind_so3_motion,
-                      ball::bind_so3_move,      ball::bind_so3_sightings, ball::bind_so3_update, ball::bind_windows})
+    for (auto bind : {ball::bind_align,         ball::bind_anchors,   ball::bind_learn,         ball::bind_appearance,
+                      ball::bind_centre_offset, ball::bind_chart,     ball::bind_evidence,      ball::bind_fit,
+                      ball::bind_outline,       ball::bind_photo,     ball::bind_hypotheses,    ball::bind_points,
+                      ball::bind_search,        ball::bind_so3_frame, ball::bind_so3_map,       ball::bind_so3_match,
+                      ball::bind_so3_motion,    ball::bind_so3_move,  ball::bind_so3_sightings, ball::bind_so3_update,
+                      ball::bind_windows})
         bind(m);
     for (auto bind : {wand::bind_assign, wand::bind_colour, wand::bind_likelihood, wand::bind_limb,
                       wand::bind_particles, wand::bind_refine})

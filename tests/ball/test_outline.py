@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball.test_pose import BLACK, VIEWS, picture_of_ball, seen_from
+from scipy.ndimage import map_coordinates
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.outline import seen_ball, seen_centre, support, support_mask
+from spheremouse.native import kernels
 
 NOISE = 4.0  # grey values, standard deviation
 
@@ -97,3 +99,45 @@ def test_no_other_pixel_is_read():
     for near in (np.zeros(3), np.array([0.008, -0.008, 0.0])):
         one, other = (seen_centre(image, rig, pose, near) for image in (black, picture))
         np.testing.assert_equal(one._asdict(), other._asdict())
+
+
+def slopes(image, starts, steps, samples):
+    """Twin of `outline_slopes`: the slopes of all lines, (n, samples - 15), -1 where black pixels spoil them."""
+    x, y = (starts[:, None] + steps[:, None] * np.arange(samples)[:, None]).transpose(2, 0, 1)
+    colours = np.array(
+        [map_coordinates(c.astype(float), (y, x), order=1, mode="nearest") for c in np.moveaxis(image, 2, 0)]
+    )
+    found = np.empty((len(starts), samples - 15))
+    for k in range(samples - 15):
+        step = colours[:, :, k + 8 : k + 16].mean(axis=2) - colours[:, :, k : k + 8].mean(axis=2)
+        black = (colours[:, :, max(k - 6, 0) : k + 22] < 0.5).all(axis=0).any(axis=1)
+        found[:, k] = np.where(black, -1.0, np.abs(step).max(axis=0))
+    return found
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_slopes_agree_with_scipy_also_beyond_the_picture_and_beside_black_pixels(channels):
+    rng = np.random.default_rng(channels)
+    image = rng.integers(0, 256, (40, 60, channels), dtype=np.uint8)
+    image[10:25, 20:45] = 0
+    starts, steps = rng.uniform((-5.0, -5.0), (65.0, 45.0), (200, 2)), rng.uniform(-0.4, 0.4, (200, 2))
+    truth = slopes(image, starts, steps, 50)
+    largest, where, median = kernels.outline_slopes(image, starts, steps, 50)
+    beside = np.lib.stride_tricks.sliding_window_view(truth, 3, axis=1)[:, :, ::2]
+    for slack in (-1e-3, 1e-3):  # a plateau is a peak, or none by its rounding
+        peak = (beside.min(axis=2) >= 0.0) & (truth[:, 1:-1] >= beside.max(axis=2) - slack)
+        most = np.where(peak, truth[:, 1:-1], 0.0).max(axis=1)
+        assert np.all((largest - most) * np.sign(slack) < 1e-3)
+    assert np.count_nonzero(truth < 0.0) > 200
+    assert np.count_nonzero(most == 0.0) > 0
+    found = largest > 0.0
+    np.testing.assert_allclose(truth[found, where[found] - 8], largest[found], atol=1e-3)
+    known = np.sort(truth[truth >= 0.0])
+    assert median == pytest.approx(known[len(known) // 2], abs=1e-3)
+
+
+def test_a_picture_without_pixels_shows_no_slope():
+    starts = np.full((3, 2), 5.0)
+    largest, _, median = kernels.outline_slopes(np.zeros((9, 9, 3), np.uint8), starts, 0.1 * starts, 20)
+    assert (largest == 0.0).all()
+    assert median == 0.0

@@ -1,0 +1,107 @@
+// Edges across a predicted outline, as `outline.py` describes them.
+#include <nanobind/stl/tuple.h>
+
+#include "spheremouse/native/matrices.h"
+
+namespace spheremouse::ball {
+namespace {
+
+constexpr int SLOPE = 8;  // samples on each side of an edge
+constexpr int MIXED = 6;  // samples that mix with a pixel beside them: its diagonal
+
+using Image = Array<const uint8_t, -1, -1, -1>;
+
+/// Write the colours at (x, y) px to `colours`, between pixels linearly; beyond the image the last pixels repeat.
+/// Return whether the place is black, as where a recording has no pixels.
+bool sample(const Image& image, double x, double y, float* colours) {
+    const auto inside = [](double place, size_t size) { return place > 0.0 ? std::min(place, size - 1.0) : 0.0; };
+    const size_t h = image.shape(0), w = image.shape(1), channels = image.shape(2);
+    x = inside(x, w), y = inside(y, h);
+    const size_t left = size_t(x), top = size_t(y);
+    const size_t right = left + 1 < w ? channels : 0, below = top + 1 < h ? w * channels : 0;  // steps to those pixels
+    const float a = float(x - double(left)), b = float(y - double(top));
+    const uint8_t* pixel = image.data() + (top * w + left) * channels;
+    bool black = true;
+    for (size_t k = 0; k < channels; k++, pixel++) {
+        const float upper = pixel[0] + a * (float(pixel[right]) - pixel[0]);
+        const float lower = pixel[below] + a * (float(pixel[below + right]) - pixel[below]);
+        colours[k] = upper + b * (lower - upper);
+        black &= colours[k] < 0.5f;
+    }
+    return black;
+}
+
+/// Samples along one normal of the outline.
+struct Normal {
+    size_t channels;
+    std::vector<float> sums;  // of the colours before each sample
+    std::vector<int> black;   // number of black samples before each
+
+    Normal(size_t samples, size_t channels)
+        : channels(channels), sums((samples + 1) * channels), black(samples + 1) {}
+
+    void read(const Image& image, const Vector<2>& from, const Vector<2>& step) {
+        float colours[4];
+        for (size_t j = 0; j + 1 < black.size(); j++) {
+            black[j + 1] = black[j] + sample(image, from.x() + double(j) * step.x(), from.y() + double(j) * step.y(),
+                                             colours);
+            for (size_t k = 0; k < channels; k++) sums[(j + 1) * channels + k] = sums[j * channels + k] + colours[k];
+        }
+    }
+
+    /// Return the difference of the means on both sides before sample j, of the colour that differs most.
+    ///
+    /// It is negative where pixels are missing.
+    float slope(size_t j) const {
+        const size_t end = black.size() - 1, margin = SLOPE + MIXED;
+        if (black[std::min(j + margin, end)] > black[j > margin ? j - margin : 0]) return -1.0f;
+        const float* here = &sums[j * channels];
+        float most = 0.0f;
+        for (size_t k = 0; k < channels; k++) {
+            const float before = here[k] - here[ptrdiff_t(k) - ptrdiff_t(SLOPE * channels)];
+            most = std::max(most, std::abs(here[k + SLOPE * channels] - here[k] - before));
+        }
+        return most / SLOPE;
+    }
+};
+
+std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handle image_, nb::handle starts,
+                                                                       nb::handle steps, size_t samples) {
+    const Image image = array<const uint8_t, -1, -1, -1>(image_, "image");
+    const auto from = matrix<Dynamic, 2>(starts, "starts");
+    const auto step = matrix<Dynamic, 2>(steps, "steps");
+    if (step.rows() != from.rows()) throw nb::type_error("steps: must be an array with the length of starts");
+    if (image.size() == 0 || image.shape(2) > 4) throw nb::type_error("image: must be an array with 1 to 4 channels");
+    if (samples < 2 * SLOPE || samples > 100000) throw nb::type_error("samples: must be a number from 16 to 100000");
+    const size_t n = size_t(from.rows()), places = samples - 2 * SLOPE + 1;
+    Vector<Dynamic> strongest = Vector<Dynamic>::Zero(from.rows());
+    std::vector<int64_t> where(n);
+    std::vector<float> all;
+    {
+        const nb::gil_scoped_release unlocked;
+        all.reserve(n * places);
+        Normal normal(samples, image.shape(2));
+        std::vector<float> slope(places);
+        for (size_t i = 0; i < n; i++) {
+            normal.read(image, from.row(i), step.row(i));
+            for (size_t j = 0; j < places; j++) slope[j] = normal.slope(SLOPE + j);
+            std::copy_if(slope.begin(), slope.end(), std::back_inserter(all), [](float s) { return s >= 0.0f; });
+            for (size_t j = 1; j + 1 < places; j++) {
+                const float least = std::min(slope[j - 1], slope[j + 1]), most = std::max(slope[j - 1], slope[j + 1]);
+                if (least >= 0.0f && slope[j] >= most && slope[j] > strongest(i))
+                    strongest(i) = slope[j], where[i] = int64_t(SLOPE + j);
+            }
+        }
+        const auto middle = all.begin() + ptrdiff_t(all.size() / 2);
+        std::nth_element(all.begin(), middle, all.end());
+    }
+    return {to_numpy(strongest), to_numpy(where), all.empty() ? 0.0 : double(all[all.size() / 2])};
+}
+
+}  // namespace
+
+void bind_outline(nb::module_& m) {
+    m.def("outline_slopes", &outline_slopes, arg("image"), arg("starts"), arg("steps"), arg("samples"));
+}
+
+}  // namespace spheremouse::ball
