@@ -126,6 +126,7 @@ class OutlineCheck(NamedTuple):
 
     begun: bool = False  # the first frame has been measured
     seen: SeenCentre | None = None  # in the last frame, if it was measured
+    measured: float = -np.inf  # s, stamp of the frame in which it was measured last
     first: SeenCentre | None = None  # in the first frame; None after the centre moved before it proved its place
     away: int = 0  # frames in a row in which the outline was far from its first place
     drift: float = 0.0  # m, farthest from that place before

@@ -26,3 +26,12 @@ def test_a_ball_that_sways_in_its_bearings_is_followed():
     figures = measure(*run(swaying, Settings(), "known"))
     assert figures["lost_episodes"] == 0
     assert figures["attitude_rms_deg"] < 0.1
+
+
+@pytest.mark.slow
+def test_a_ball_that_sinks_is_followed_by_three_discs():
+    """By 10 mm within 0.2 s, before a near camera. So few discs show a shift as a turn, of up to 1.5 degrees."""
+    sinking = film(motion="play", view="near", seconds=6.0, lift=4.0, lift_by=(0.0, -10.0, 0.0), noise=4.0, seed=316)
+    figures = measure(*run(Scenario("", sinking), Settings(), "known"))
+    assert figures["lost_episodes"] == 0
+    assert figures["attitude_rms_deg"] < 0.1

@@ -1,7 +1,7 @@
 """The ball's centre by its outline: when it is measured, whether it has moved, and what the filter takes of it.
 
-The outline is measured in the first frame, while the ball first turns, if discs cause a doubt, and while the centre
-moves. Shading shifts it by about the same in each frame, so its first place counts as that of the rig's centre.
+The outline is measured in the first frame, while the ball first turns, if discs cause a doubt or are few, and while the
+centre moves. Shading shifts it by about the same in each frame, so its first place counts as that of the rig's centre.
 """
 
 import math
@@ -21,6 +21,8 @@ from spheremouse.tracker import Status
 LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
 RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _CERTAIN_SIGMAS = 3.0  # of the outline's radius
+_FEW_DISCS = 5  # in use: with fewer, a shift looks like a turn
+_INTERVAL_S = 0.05  # between outlines then: a ball that sinks within 0.2 s has not gone half of its way
 _WATCHED = 1.0  # rad of play in which bearings show whether they are worn
 _DOUBTFUL = 1.0  # mean squared deviations by the discs, from which the outline is measured
 _MOVED_SIGMAS = 5.0  # of the way of an outline
@@ -55,15 +57,25 @@ def with_outline(
     """Return state and prediction with the ball's centre by its outline in a frame, if this one is to be measured."""
     check, moves = state.outline, predicted.centre_noise > 0.0
     speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
-    doubt = state.centre.evidence > _DOUBTFUL or state.filter.nis > LARGE_NIS * len(state.filter.used)
-    watched = (speed > RESTS and check.watched < _WATCHED) or doubt
-    if predicted.others or not (moves or (watched and state.status is not Status.LOST)):
+    if predicted.others or not (moves or _is_due(state, predicted.stamp, speed)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
-    check = check._replace(seen=seen, watched=check.watched + speed * (predicted.stamp - state.filter.stamp))
+    turned = speed * (predicted.stamp - state.filter.stamp)
+    check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
         return state._replace(outline=check), correct_by_outline(predicted, check)
     return state._replace(outline=_compared_with_first(check)), predicted
+
+
+def _is_due(state: TrackState[So3State], stamp: float, speed: float) -> bool:
+    """Return whether a frame must show the place of a centre that did not move before; `speed` is the ball's, rad/s."""
+    check, used = state.outline, len(state.filter.used)
+    if state.status is Status.LOST:
+        return False
+    if check.away > 0 or state.centre.evidence > _DOUBTFUL or state.filter.nis > LARGE_NIS * used:
+        return True
+    again = not 0.0 <= stamp - check.measured < _INTERVAL_S
+    return speed > RESTS and (check.watched < _WATCHED or (again and used < _FEW_DISCS))
 
 
 def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:
