@@ -440,7 +440,8 @@ class Figure(NamedTuple):
 def memory_in_use() -> float:
     """Return the MB that malloc has given out, the least of some readings, since pictures come and go.
 
-    PYTHONMALLOC=malloc makes that all memory of Python; the process's size would hide it.
+    PYTHONMALLOC=malloc makes that all memory of Python; the process's size would hide it. Without a cache for each
+    thread (GLIBC_TUNABLES), no freed memory counts.
     """
     gc.collect()
     least = np.inf
@@ -506,7 +507,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, metavar="S")
     args = parser.parse_args()
     if os.environ.get("PYTHONMALLOC") != "malloc":
-        os.execve(sys.executable, sys.orig_argv, {**os.environ, "PYTHONMALLOC": "malloc"})
+        exact = {"PYTHONMALLOC": "malloc", "GLIBC_TUNABLES": "glibc.malloc.tcache_count=0"}
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **exact})
     with threadpool_limits(1):
         failures = soak(1.5 if args.short else args.days, args.seed)
     for text in failures[:20]:
