@@ -29,6 +29,7 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters.so3_motion import KINEMATIC_DIM
 from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.filters.so3_state import COMMON
+from spheremouse.ball.phases import learn
 from spheremouse.ball.rig import Ball, found_from_picture
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState, Withheld, current
@@ -474,21 +475,37 @@ def test_a_wrong_radius_is_found(error, seed, few):
         assert_allclose(out.states[-1].filter.centre, [0.0, 0.0, -error / 0.6 * distance], atol=2e-3)
 
 
-@pytest.mark.parametrize("error", [-0.02, 0.02])
-def test_a_wrong_focal_length_is_found_if_the_rig_states_its_uncertainty(error):
-    """The pose comes from pictures by the same camera, so it is farther away by the same share."""
+def with_wrong_focal_length(error):
+    """Rig that states an uncertainty of 2 %, and the pose that comes from pictures by the same camera."""
     camera = RIG.camera
     covariance = np.zeros((9, 9))
     covariance[:2, :2] = (0.02 * camera.fx) ** 2  # of fx and fy together
     camera = replace(camera, fx=(1.0 + error) * camera.fx, fy=(1.0 + error) * camera.fy, covariance=covariance)
-    pose = found_from_picture(POSE, RIG.ball.centre)
-    pose = replace(pose, position=pose.position + error * pose.by_focal[:3])
+    pose = found_from_picture(POSE, RIG.ball.centre)  # so it is farther away by the same share
+    return replace(RIG, camera=camera), replace(pose, position=pose.position + error * pose.by_focal[:3])
+
+
+@pytest.mark.parametrize("error", [-0.02, 0.02])
+def test_a_wrong_focal_length_is_found_if_the_rig_states_its_uncertainty(error):
     for seed in range(3):
-        out = played(replace(RIG, camera=camera), pose, seed=seed)
+        out = played(*with_wrong_focal_length(error), seed=seed)
         assert out.is_tracked
         assert np.degrees(np.sqrt(np.mean(out.error**2))) < 0.1
         last = out.states[-1].filter
         assert abs(last.rig_error[0] + error) < 0.002 + 4.0 * last.joint[KINEMATIC_DIM, KINEMATIC_DIM] ** 0.5
+
+
+def test_views_that_are_filtered_again_count_once(monkeypatch):
+    """The rig that an earlier round found says where directions are linear, not what is expected."""
+    rounds, again = [], learn.filtered_again
+    monkeypatch.setattr(learn, "filtered_again", lambda *given: rounds.append(given) or again(*given))
+    played(*with_wrong_focal_length(0.02), until=3.0)
+    state, *rest = rounds[0]
+    found = []
+    for start in (-0.01, 0.01):
+        started = replace(state.filter, rig_error=np.array([start, 0.0, 0.0, 0.0]))
+        found.append(again(state._replace(filter=started), *rest).filter.rig_error[0])
+    assert found[0] == pytest.approx(found[1], abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", seeds(2, 4))

@@ -3,6 +3,8 @@
 Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,14 +113,19 @@ def filtered_again(
     """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
     state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
-    filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
+    start = tracker.filter.initial(views[0].stamp, views[0].attitude)
+    filtered, assumed = start.with_reference_of(state.filter), state.filter.rig_error
+    if filtered.centre_noise == 0.0 and (assumed != start.rig_error).any():
+        # the views have shown this error, and count once: it says where directions are linear, not what is expected
+        filtered = replace(filtered, rig_error=start.rig_error)
     if state.centre.wrong_rig:
         filtered = tracker.filter.with_rig_uncertainty(filtered)
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)
-        if (filtered.rig_error != points.rig_error).any():
-            points = intersect(view.detections, tracker.rig, tracker.pose, filtered.rig_error, points.index)
+        held = filtered.rig_error if filtered.centre_noise > 0.0 else assumed
+        if (held != points.rig_error).any():
+            points = intersect(view.detections, tracker.rig, tracker.pose, held, points.index)
         state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
         if predicted.centre_noise > 0.0 and view.ball_centre is not None:
