@@ -33,6 +33,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
 )
 from spheremouse.ball.filters.so3_state import (
+    COMMON,
     RIG,
     WANDER_S,
     So3State,
@@ -94,9 +95,10 @@ class So3Filter:
         return self.with_station(state)
 
     def with_station(self, state: So3State) -> So3State:
-        """Return a state that no frame has corrected, with the errors of this station's rig."""
-        joint = state.joint.copy()
-        joint[KINEMATIC_DIM:MAP_OFFSET, KINEMATIC_DIM:MAP_OFFSET] = self.station.covariance()
+        """Return a state that no frame of this camera has corrected, with the errors of this station's rig."""
+        joint, ours = state.joint.copy(), np.r_[COMMON, state.map_row - 1]
+        joint[ours], joint[:, ours] = 0.0, 0.0
+        joint[np.ix_(ours, ours)] = self.station.covariance()
         return replace(state, joint=joint, rig_error=self.station.size_error * self.station.common_by_size())
 
     def predict(self, state: So3State, stamp: float) -> So3State:

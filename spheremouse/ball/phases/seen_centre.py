@@ -37,14 +37,14 @@ def with_first_outline(
     of them is wrong: the outline may be that of an opening before the ball. So the standard deviation of the radius is
     as large as the difference.
     """
-    if state.others or state.status is Status.LOST:
+    if state.status is Status.LOST:
         return state, ()
     ball = seen_ball(image, tracker.rig, tracker.pose)
     if ball is None:
         return state._replace(outline=OutlineCheck(begun=True)), ()
     first = ball.centre if state.filter.centre_noise == 0.0 else None
     state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first))
-    if state.frames > 0 or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
+    if state.frames > len(state.others) or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
         return state, ()
     stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
     state = state._replace(filter=stage.with_station(state.filter), rebuilt=replace(tracker, filter=stage))
@@ -57,7 +57,7 @@ def with_outline(
     """Return state and prediction with the ball's centre by its outline in a frame, if this one is to be measured."""
     check, moves = state.outline, predicted.centre_noise > 0.0
     speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
-    if predicted.others or not (moves or _is_due(state, predicted.stamp, speed)):
+    if not (moves or _is_due(state, predicted.stamp, speed)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
     turned = speed * (predicted.stamp - state.filter.stamp)
