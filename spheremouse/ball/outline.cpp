@@ -1,4 +1,4 @@
-// Edges across a predicted outline, as `outline.py` describes them.
+// Peaks of the slopes along lines across a predicted outline: the candidates of `outline.py` for its edges.
 #include <nanobind/stl/tuple.h>
 
 #include "spheremouse/native/matrices.h"
@@ -6,17 +6,17 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int SLOPE = 8;  // samples on each side of an edge
-constexpr int MIXED = 6;  // samples that mix with a pixel beside them: its diagonal
+constexpr int SLOPE = 8;  // samples on each side of an edge; outline.py has it too
+constexpr int MIXED = 6;  // samples of a quarter of a pixel across its diagonal: a black pixel mixes into so many
 
 using Image = Array<const uint8_t, -1, -1, -1>;
 
 /// Write the colours at (x, y) px to `colours`, between pixels linearly; beyond the image the last pixels repeat.
 /// Return whether the place is black, as where a recording has no pixels.
 bool sample(const Image& image, double x, double y, float* colours) {
-    const auto inside = [](double place, size_t size) { return place > 0.0 ? std::min(place, size - 1.0) : 0.0; };
+    const auto clamped = [](double place, size_t size) { return place > 0.0 ? std::min(place, size - 1.0) : 0.0; };
     const size_t h = image.shape(0), w = image.shape(1), channels = image.shape(2);
-    x = inside(x, w), y = inside(y, h);
+    x = clamped(x, w), y = clamped(y, h);
     const size_t left = size_t(x), top = size_t(y);
     const size_t right = left + 1 < w ? channels : 0, below = top + 1 < h ? w * channels : 0;  // steps to those pixels
     const float a = float(x - double(left)), b = float(y - double(top));
@@ -31,15 +31,16 @@ bool sample(const Image& image, double x, double y, float* colours) {
     return black;
 }
 
-/// Samples along one normal of the outline.
-struct Normal {
+/// Samples along one line.
+struct Line {
     size_t channels;
     std::vector<float> sums;  // of the colours before each sample
     std::vector<int> black;   // number of black samples before each
 
-    Normal(size_t samples, size_t channels)
+    Line(size_t samples, size_t channels)
         : channels(channels), sums((samples + 1) * channels), black(samples + 1) {}
 
+    /// Replace the samples by those of a line that begins at a place, px, and has a step, px.
     void read(const Image& image, const Vector<2>& from, const Vector<2>& step) {
         float colours[4];
         for (size_t j = 0; j + 1 < black.size(); j++) {
@@ -49,9 +50,9 @@ struct Normal {
         }
     }
 
-    /// Return the difference of the means on both sides before sample j, of the colour that differs most.
+    /// Return the difference of the means of the samples before j and from j on, of the colour that differs most.
     ///
-    /// It is negative where pixels are missing.
+    /// It is -1 within 14 samples of a black one.
     float slope(size_t j) const {
         const size_t end = black.size() - 1, margin = SLOPE + MIXED;
         if (black[std::min(j + margin, end)] > black[j > margin ? j - margin : 0]) return -1.0f;
@@ -80,11 +81,11 @@ std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handl
     {
         const nb::gil_scoped_release unlocked;
         all.reserve(n * places);
-        Normal normal(samples, image.shape(2));
+        Line line(samples, image.shape(2));
         std::vector<float> slope(places);
         for (size_t i = 0; i < n; i++) {
-            normal.read(image, from.row(i), step.row(i));
-            for (size_t j = 0; j < places; j++) slope[j] = normal.slope(SLOPE + j);
+            line.read(image, from.row(i), step.row(i));
+            for (size_t j = 0; j < places; j++) slope[j] = line.slope(SLOPE + j);
             std::copy_if(slope.begin(), slope.end(), std::back_inserter(all), [](float s) { return s >= 0.0f; });
             for (size_t j = 1; j + 1 < places; j++) {
                 const float least = std::min(slope[j - 1], slope[j + 1]), most = std::max(slope[j - 1], slope[j + 1]);

@@ -1,7 +1,7 @@
 """The ball's outline in a picture, and the radius and centre that it shows.
 
 The strongest edge on each normal of the predicted outline is a candidate. Struts, the base and hands hide much of the
-outline, and shading gives other edges. So the radius and the shift of the centre on which most edges agree count.
+outline, and shading gives other edges. The result is the radius and the shift of the centre on which most edges agree.
 """
 
 from typing import NamedTuple
@@ -18,10 +18,12 @@ from spheremouse.native import kernels
 _POINTS = 240  # of the outline
 _MAX_ERROR = 0.05  # relative, largest error of the radius: five standard deviations of a tape
 _STEP_PX = 0.25  # between samples
-_SLOPE = 8  # samples on each side of an edge, as in outline.cpp
-# px, side of the square that widens a mask: slopes and interpolation read less than 6 px beyond it
+_SLOPE = 8  # samples on each side of an edge; outline.cpp has it too
+# px, side of the square that widens a mask by 6 px: samples lie 3 px beyond the largest outline
 _MASK_MARGIN_PX = 13
-_MIN_SLOPE_RATIO = 8.4  # times the median slope, from which one is an edge: five standard deviations of noise above it
+_MIN_SLOPE_RATIO = (
+    8.4  # times the median slope, from which one is an edge: five standard deviations of grey noise above it
+)
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_SIGMA_PX = 0.3  # standard deviation of an outline from blur and shading
 _WEIGHT_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline
@@ -56,10 +58,10 @@ class SeenBall(NamedTuple):
 class _Edges(NamedTuple):
     """Edges across the predicted outline: the strongest on each normal, if it is clear."""
 
-    error: Array  # (n,) relative error of the radius with which the outline lies on it
+    error: Array  # (n,) relative error of the radius that puts the outline on the edge
     normal: Array  # (n, 3) of the ball there, obj
-    normals: int  # number of those in the picture
-    px: float  # of an error of 1
+    normals: int  # number of normals in the picture, with an edge or without
+    px: float  # for a relative error of 1
 
 
 class _Fit(NamedTuple):
@@ -67,7 +69,7 @@ class _Fit(NamedTuple):
 
     shift: Array  # (3,) m, obj
     weight: Array  # (n,) of the edges
-    N: Array  # (3, 3) information, over that of one edge
+    N: Array  # (3, 3) information, in units of that of one edge
     off: Array  # (n,) m, residuals
 
 
@@ -144,9 +146,9 @@ def _suffices(found: _Edges, points: int) -> bool:
 
 
 def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
-    """Return the shift of the centre by the edges, from a `start` that is nearly right, by robust least squares.
+    """Return the shift of the centre by the edges, from a `start`, (3,) m in obj, by robust least squares.
 
-    A shift d moves the edge on a normal n as a radius that is larger by n d does.
+    A shift d moves the edge on a normal n as a radius that is larger by n·d does (weights of Geman and McClure 1987).
     """
     n, error, shift = found.normal, radius * found.error, start
     weight, N = np.ones(len(n)), np.eye(3)

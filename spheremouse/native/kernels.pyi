@@ -243,11 +243,11 @@ def shift_of(
 # spheremouse/ball/outline.cpp
 
 def outline_slopes(image: _Byte, starts: _Float, steps: _Float, samples: int) -> tuple[_Float, _Index, float]:
-    """Return the greatest peak of the slopes on n lines in an image (h, w, c), its sample, and all slopes' median.
+    """Return for n lines in an image (h, w, c) the highest peak of the slopes and its sample, and all slopes' median.
 
-    A slope is the difference of the means of 8 samples before a sample, and of 8 from it on, of the colour that differs
-    most. A line has `samples`, from a place (n, 2) px by steps (n, 2) px. Slopes near black samples do not count. A
-    line without a peak has 0 and sample 0.
+    A slope, in grey values, is the difference of the means of 8 samples before a sample and of 8 from it on, of the
+    colour that differs most. A line begins at `starts`, (n, 2) px, and has `samples` with `steps`, (n, 2) px. Slopes
+    within 14 samples of a black one do not count. A line without a peak has 0 and sample 0.
     """
 
 # spheremouse/ball/detect/appearance.cpp

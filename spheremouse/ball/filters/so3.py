@@ -95,7 +95,10 @@ class So3Filter:
         return self.with_station(state)
 
     def with_station(self, state: So3State) -> So3State:
-        """Return a state that no frame of this camera has corrected, with the errors of this station's rig."""
+        """Return the state with the rig error of this station and its covariance.
+
+        No frame of this camera may have corrected the state.
+        """
         joint, ours = state.joint.copy(), np.r_[COMMON, state.map_row - 1]
         joint[ours], joint[:, ours] = 0.0, 0.0
         joint[np.ix_(ours, ours)] = self.station.covariance()

@@ -33,7 +33,7 @@ _MIN_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of th
 _MAX_CHI2 = 10.83  # chi-square with one degree of freedom, 99.9 %
 # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
 _MIN_CHI2_DIFFERENCE = 30.0
-# radii: a shift of the centre that places a disc at the limb to a tenth of a pixel, to first order
+# radii, or relative for the focal length: a shift that places a disc at the limb to a tenth of a pixel, to first order
 _MAX_LINEAR_SHIFT = 0.005
 _ITERATIONS = 3  # each leaves a tenth of the error
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
@@ -88,9 +88,9 @@ def learn(
 def _filtered_with_its_rig(
     state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
 ) -> TrackState[F]:
-    """Return the state after filtering all views again with the rig that they showed, if that was uncertain.
+    """Return the state after filtering all views again with the rig that they showed, if it is another than assumed.
 
-    The first views placed discs about a centre that was far off. There the effect of a shift is not linear. So this is
+    The first views placed discs about a centre that was off. There the effect of a shift is not linear. So this is
     the Gauss-Newton iteration of a smoother over the views (Bell 1994). If a round turns the attitude by more than the
     shift explains, it has dropped views, and its result does not count.
     """
@@ -116,7 +116,7 @@ def filtered_again(
     start = tracker.filter.initial(views[0].stamp, views[0].attitude)
     filtered, assumed = start.with_reference_of(state.filter), state.filter.rig_error
     if filtered.centre_noise == 0.0 and (assumed != start.rig_error).any():
-        # the views have shown this error, and count once: it says where directions are linear, not what is expected
+        # the views showed this error, so as a prior it would count twice: it is only the point of linearisation
         filtered = replace(filtered, rig_error=start.rig_error)
     if state.centre.wrong_rig:
         filtered = tracker.filter.with_rig_uncertainty(filtered)

@@ -1,7 +1,8 @@
-"""The ball's centre by its outline: when it is measured, whether it has moved, and what the filter takes of it.
+"""The ball's centre by its outline: when it is measured, whether it has moved, and how the filter uses it.
 
 The outline is measured in the first frame, while the ball first turns, if discs cause a doubt or are few, and while the
-centre moves. Shading shifts it by about the same in each frame, so its first place counts as that of the rig's centre.
+centre moves. Shading shifts the outline by about the same in each frame. So its first place counts as that of the rig's
+centre, unless the centre moved before it proved its place.
 """
 
 import math
@@ -22,9 +23,9 @@ LARGE_NIS = 3.0  # for each disc, of two expected: more may be a shift
 RESTS = 0.05  # rad/s, below which a ball rests and shows nothing new
 _CERTAIN_SIGMAS = 3.0  # of the outline's radius
 _FEW_DISCS = 5  # in use: with fewer, a shift looks like a turn
-_INTERVAL_S = 0.05  # between outlines then: a ball that sinks within 0.2 s has not gone half of its way
-_WATCHED = 1.0  # rad of play in which bearings show whether they are worn
-_DOUBTFUL = 1.0  # mean squared deviations by the discs, from which the outline is measured
+_INTERVAL_S = 0.05  # between outlines with few discs: a ball that sinks within 0.2 s has not gone half of its way
+_WATCHED = 1.0  # rad, first turn with an outline in each frame: it shows whether the bearings are worn
+_DOUBTFUL = 1.0  # standard deviations², mean by the discs, from which the outline is measured
 _MOVED_SIGMAS = 5.0  # of the way of an outline
 
 
@@ -33,9 +34,9 @@ def with_first_outline(
 ) -> tuple[TrackState[So3State], Events]:
     """Return the state before the first frame at a pose, `image`, with the place that the ball's outline shows.
 
-    The first frame of all also shows the radius. If that differs from the rig's by more than the outline's error, one
-    of them is wrong: the outline may be that of an opening before the ball. So the standard deviation of the radius is
-    as large as the difference.
+    The first frame of each camera also shows the radius. If that differs from the rig's by more than three standard
+    deviations, one of them is wrong: the outline may be that of an opening before the ball. So the filter takes the
+    outline's radius, with a standard deviation as large as the difference. A lost ball has no first frame.
     """
     if state.status is Status.LOST:
         return state, ()
@@ -54,13 +55,16 @@ def with_first_outline(
 def with_outline(
     state: TrackState[So3State], predicted: So3State, image: Image, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], So3State]:
-    """Return state and prediction with the ball's centre by its outline in a frame, if this one is to be measured."""
+    """Return state and prediction after the outline of a frame, if this one is to be measured.
+
+    While the centre moves, the outline corrects the prediction. Otherwise it is only compared with the first one.
+    """
     check, moves = state.outline, predicted.centre_noise > 0.0
     speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
     if not (moves or _is_due(state, predicted.stamp, speed)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
-    turned = speed * (predicted.stamp - state.filter.stamp)
+    turned = speed * max(predicted.stamp - state.filter.stamp, 0.0)
     check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
         return state._replace(outline=check), correct_by_outline(predicted, check)
@@ -68,7 +72,7 @@ def with_outline(
 
 
 def _is_due(state: TrackState[So3State], stamp: float, speed: float) -> bool:
-    """Return whether a frame must show the place of a centre that did not move before; `speed` is the ball's, rad/s."""
+    """Return whether the outline must be measured while the centre is in its place; `speed` is the ball's, rad/s."""
     check, used = state.outline, len(state.filter.used)
     if state.status is Status.LOST:
         return False
@@ -94,7 +98,7 @@ def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter
 
 
 def _compared_with_first(check: OutlineCheck) -> OutlineCheck:
-    """Return the check with the way of the outline from its place in the first frame."""
+    """Return the check with `away` and `drift` by the way of the outline from its place in the first frame."""
     seen, first = check.seen, check.first
     if seen is None or first is None:
         return check
