@@ -48,11 +48,11 @@ def test_two_recordings_are_tied_and_tracked_as_one(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("error", ["sway", "radius"])
-def test_two_cameras_measure_the_outline_of_a_ball_with_worn_bearings_or_a_wrong_radius(tmp_path, error):
-    """By discs alone the attitude is 0.1 to 0.3 degrees off."""
+@pytest.mark.parametrize(("error", "late"), [("sway", 0.0167), ("radius", 0.0167), ("radius", 0.15)])
+def test_two_cameras_measure_the_outline_of_a_ball_with_worn_bearings_or_a_wrong_radius(tmp_path, error, late):
+    """By discs alone the attitude is 0.1 to 0.3 degrees off. The second camera may begin some frames later."""
     front, side = tmp_path / "front", tmp_path / "side"
-    for film, more in ((front, ()), (side, ("--azimuth", 90, "--late", 0.0167))):
+    for film, more in ((front, ()), (side, ("--azimuth", 90, "--late", late))):
         swaying = ("--sway", 5) if error == "sway" else ()
         options = ("--motion", "play", "--seconds", 8, "--noise", 4, "--seed", 21, *swaying, *more)
         succeed(app, "simulate", film, *options)

@@ -45,7 +45,7 @@ def with_first_outline(
         return state._replace(outline=OutlineCheck(begun=True)), ()
     first = ball.centre if state.filter.centre_noise == 0.0 else None
     state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first))
-    if state.frames > len(state.others) or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
+    if state.rebuilt is not None or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
         return state, ()
     stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
     state = state._replace(filter=stage.with_station(state.filter), rebuilt=replace(tracker, filter=stage))
