@@ -6,7 +6,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int SLOPE = 8;  // samples on each side of an edge; outline.py has it too
+constexpr int SLOPE = 8;  // samples on each side of an edge
 constexpr int MIXED = 6;  // samples of a quarter of a pixel across its diagonal: a black pixel mixes into so many
 
 using Image = Array<const uint8_t, -1, -1, -1>;
@@ -102,6 +102,7 @@ std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handl
 }  // namespace
 
 void bind_outline(nb::module_& m) {
+    m.attr("SLOPE") = SLOPE;
     m.def("outline_slopes", &outline_slopes, arg("image"), arg("starts"), arg("steps"), arg("samples"));
 }
 

@@ -18,12 +18,11 @@ from spheremouse.native import kernels
 _POINTS = 240  # of the outline
 _MAX_ERROR = 0.05  # relative, largest error of the radius: five standard deviations of a tape
 _STEP_PX = 0.25  # between samples
-_SLOPE = 8  # samples on each side of an edge; outline.cpp has it too
+_SLOPE = kernels.SLOPE  # samples on each side of an edge
 # px, side of the square that widens a mask by 6 px: samples lie 3 px beyond the largest outline
 _MASK_MARGIN_PX = 13
-_MIN_SLOPE_RATIO = (
-    8.4  # times the median slope, from which one is an edge: five standard deviations of grey noise above it
-)
+# times the median slope, from which one is an edge: five standard deviations of grey noise above it
+_MIN_SLOPE_RATIO = 8.4
 _NEAR_PX = 2.0  # from the outline, of an edge that confirms it
 _EDGE_SIGMA_PX = 0.3  # standard deviation of an outline from blur and shading
 _WEIGHT_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of the weights of edges off the outline

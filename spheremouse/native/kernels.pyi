@@ -242,6 +242,8 @@ def shift_of(
 
 # spheremouse/ball/outline.cpp
 
+SLOPE: int  # samples on each side of an edge
+
 def outline_slopes(image: _Byte, starts: _Float, steps: _Float, samples: int) -> tuple[_Float, _Index, float]:
     """Return for n lines in an image (h, w, c) the highest peak of the slopes and its sample, and all slopes' median.
 

@@ -202,7 +202,7 @@ trap 'rm -rf "$job"' EXIT
     echo
 } >"$job/script"
 
-# TCG, not KVM: it runs everywhere, inside other guests too. NumPy needs x86-64-v2, and its argsort for AVX2 crashes under TCG.
+# TCG, not KVM: it runs everywhere, inside other guests too. NumPy needs x86-64-v2. Its argsort for AVX2 crashes there.
 code=0
 timeout "$limit" qemu-system-x86_64 -M pc -m 1536 -accel tcg,thread=multi -cpu max,-avx2 -smp "$(nproc)" \
     -nodefaults -no-user-config -display none -no-reboot \
