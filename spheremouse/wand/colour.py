@@ -101,7 +101,9 @@ def colour_fields(
     left, top, right, bottom = region or (0, 0, w, h)
     part = image[top:bottom, left:right]
     if factor > 1:
-        part = cv2.resize(part, (part.shape[1] // factor, part.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        rows, columns = part.shape[0] // factor, part.shape[1] // factor
+        part = part[: rows * factor, : columns * factor]  # a remainder would change the scale
+        part = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
     part = np.ascontiguousarray(part, dtype=np.uint8)
     bounds = _bounds(colours, names, known.mean)
     binary, count, white = _binary_pictures(part, bounds)

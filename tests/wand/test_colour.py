@@ -60,6 +60,18 @@ def test_fields_of_a_region_equal_those_of_the_whole_picture():
     np.testing.assert_array_equal(part.weight[inner], whole.weight[:, 10:50, 10:90][inner])
 
 
+@pytest.mark.parametrize("factor", [2, 3, 4])
+def test_the_size_of_a_reduced_region_moves_nothing_in_it(factor):
+    """A remainder beside the last reduced pixel is left out. To stretch the picture over it would move all rims."""
+    whole = [colour_fields(picture(), DEFAULT_COLOURS, NAMES, (3, 5, 3 + 24 * factor, 5 + 18 * factor), factor)]
+    whole += [
+        colour_fields(picture(), DEFAULT_COLOURS, NAMES, (3, 5, 3 + 24 * factor + k, 5 + 18 * factor + m), factor)
+        for k, m in ((1, 0), (0, factor - 1), (factor - 1, factor - 1))
+    ]
+    for fields in whole[1:]:
+        np.testing.assert_array_equal(fields.weight, whole[0].weight)
+
+
 def test_pictures_of_large_balls_are_reduced():
     assert reduction_factor(50) == 1
     assert reduction_factor(130) == 2
