@@ -110,7 +110,9 @@ def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState
     due = since_search >= tracker.settings.look_around and state.frames_since_search >= _MIN_FRAMES_BETWEEN_SEARCHES
     for i, track in enumerate(state.tracks):
         others = [
-            t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == Status.TRACKING
+            t.pose[0] + t.velocity[:3] * (frame.stamp - t.stamp)  # predicted, until this frame is measured
+            for j, t in enumerate(tracks)
+            if j != i and t.pose is not None and t.phase == Status.TRACKING
         ]
         tracks[i], pose = tracker.follow(track, frame.stamp, SearchContext(scene, i, others), due, rng)
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:

@@ -1,7 +1,7 @@
 """Tracker: accuracy on films of the independent renderer, hidden and lost balls, events, distractors."""
 
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -218,6 +218,25 @@ def test_two_declared_balls_are_tracked():
     assert all(p.phase == Status.TRACKING for p in poses[-1])
     apart = np.linalg.norm(poses[-1][0].position - poses[-1][1].position)
     assert apart == pytest.approx(np.linalg.norm(np.subtract(*shots[-1].position)), abs=0.05)
+
+
+def test_a_hidden_ball_is_not_confused_with_an_equal_one_that_moves():
+    """The other ball moves by more than its radius between two frames, so its last place does not show it."""
+    camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, fps=10.0, seconds=1.0, speed=1.0))
+    tracker = build(camera, balls)
+    moved = np.array([np.linalg.norm((b.position - a.position)[:, :2], axis=1) for a, b in pairwise(shots)])
+    last = 3 + int(np.argmax(np.max(moved[3:], axis=1)))  # before the longest shift
+    other = int(np.argmax(moved[last]))
+    assert moved[last, other] > balls[0].radius
+    state, poses = follow(shots[: last + 1], tracker)
+    place = [pose.position for pose in poses[-1]]
+    order = np.argmin([np.linalg.norm(p - shots[last].position[other]) for p in place])
+    image = shots[last + 1].frame.image.copy()
+    hidden = shots[last + 1].position[1 - other]
+    u = int(camera.fx * hidden[0] / hidden[2] + camera.cx)
+    image[:, max(u - 45, 0) : u + 45] = 120
+    poses = step(state, replace(shots[last + 1].frame, image=image), tracker).state.poses
+    assert [pose.seen for pose in poses] == [k == order for k in range(2)]
 
 
 def test_event_of_an_undeclared_ball_needs_three_frames():
