@@ -45,6 +45,7 @@ from spheremouse.ball.texture.picture import (
     shows_all_axes,
     tiles_in_view,
     tiles_to_learn,
+    tilt_sigma,
     weigh,
     with_skew,
     without_past,
@@ -383,8 +384,7 @@ def _detections(
         return no_detections(), np.zeros(0, dtype=np.intp)
     facing = tracker.filter.station.towards, tracker.filter.station.horizon
     unseen = float(np.sum(predicted.joint[:3, :3] * (np.eye(3) - alignment.known)))  # rad², about unknown axes
-    tilted = alignment.tilt * (max(unseen, 0.0) * DETAIL / alignment.used) ** 0.5
-    errors = MAX_ANCHOR_SIGMA, _ANCHOR_PRIOR_SIGMA, _ANCHOR_FLOOR_PX * view.pixel, tilted
+    errors = MAX_ANCHOR_SIGMA, _ANCHOR_PRIOR_SIGMA, _ANCHOR_FLOOR_PX * view.pixel, tilt_sigma(alignment, unseen)
     place, covariance, which = kernels.anchor_points(
         view.anchors,
         alignment.attitude,

@@ -22,7 +22,7 @@ from spheremouse.ball.state import (
 )
 from spheremouse.ball.texture.centre import follow_in_bearings
 from spheremouse.ball.texture.detect import MAX_ANCHOR_SIGMA
-from spheremouse.ball.texture.picture import STATIC_ODDS, Alignment, shows_all_axes
+from spheremouse.ball.texture.picture import STATIC_ODDS, Alignment, shows_all_axes, tilt_sigma
 from spheremouse.ball.texture.picture_map import recall, to_map
 from spheremouse.ball.texture.search import FRAMES_PER_SEARCH, TextureDetector, TextureState
 from spheremouse.geometry.rotation import Array, rotation_between
@@ -134,7 +134,9 @@ def _relocate(
     predicted: So3State, alignment: Alignment, stamp: float, tracker: Tracker[So3Filter], rate: Array | None = None
 ) -> So3State:
     """Return the state at an attitude that a search has found. About an axis that no pixel shows, it is any."""
-    covariance = MAX_ANCHOR_SIGMA**2 * alignment.known + _UNKNOWN_ANGLE_SIGMA**2 * (np.eye(3) - alignment.known)
+    others = np.eye(3) - alignment.known
+    tilt = tilt_sigma(alignment, _UNKNOWN_ANGLE_SIGMA**2 * float(np.trace(others)))
+    covariance = (MAX_ANCHOR_SIGMA**2 + tilt**2) * alignment.known + _UNKNOWN_ANGLE_SIGMA**2 * others
     return relocate(predicted, alignment.attitude, covariance, tracker.settings.so3, stamp, rate)
 
 

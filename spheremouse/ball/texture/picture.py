@@ -312,6 +312,14 @@ def shows_all_axes(alignment: Alignment) -> bool:
     return bool(np.trace(alignment.known) > 2.5)
 
 
+def tilt_sigma(alignment: Alignment, unseen: float) -> float:
+    """Return the standard deviation, rad, of the alignment about its known axes by an error of what these axes are.
+
+    `unseen` is the variance, rad², of the rotation about the other axes.
+    """
+    return float(alignment.tilt * (max(unseen, 0.0) * DETAIL / alignment.used) ** 0.5)
+
+
 def tiles_in_view(view: TextureView, attitude: Array) -> Tiles:
     """Return the tiles, (k,), of which a frame at `attitude`, (3, 3), shows a part."""
     return np.flatnonzero(view.tiles @ (view.chart.axes[2] @ attitude) > view.least_height)
