@@ -116,7 +116,7 @@ def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> Cam
     """Learn the appearance of targets: of all at the first frame, then of one after the other."""
     which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
     if len(which) and watch.due > -np.inf:
-        which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
+        which = which[which == (watch.last_target + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
     if len(which) == 0:
         return watch
     return watching.remember_targets(watch, frame.image, which, tracker.rig, tracker.settings.rings)
@@ -148,10 +148,10 @@ def check_targets(
         camera_still = watching.is_still(before.shift, shift)
         found = (_pose_by_shifts(on_rings, shift, tracker) or seek(frame, tracker)) if camera_still else None
         return CameraCheck(replace(watch, shift=shift), moving=True, moved=found)
-    watch = replace(watch, shift=np.zeros((0, 2)), away=None)
-    if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
-        return CameraCheck(replace(watch, asked=True))
-    watch = replace(watch, asked=False)
+    watch = replace(watch, shift=np.zeros((0, 2)), moving_since=None)
+    if frame.image.ndim != 3 and not watch.colour_frame_requested:  # colours show more than a correlation
+        return CameraCheck(replace(watch, colour_frame_requested=True))
+    watch = replace(watch, colour_frame_requested=False)
     if displaced_on_rings is None and after is not None and out_of_sight(after._replace(watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         found = seek(frame, tracker)

@@ -48,13 +48,13 @@ class CameraMonitor:
     zero: Array  # (n, 2) px, result of the correlation for a target that has not moved
     place: Array  # (n, 2) px, measured centres of the rings; nan without a measurement
     seen: NDArray[np.bool_]  # (n,) visible at the last check
-    turn: int = 0  # the target of the next check
+    last_target: int = 0  # the target checked last
     due: float = -np.inf  # s, time of the next check
-    shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px while the camera is away; nan: hidden
-    away: float | None = None  # s, start of the camera's displacement; None: not displaced
+    shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px of a displaced camera; nan: hidden
+    moving_since: float | None = None  # s, start of the camera's displacement; None: not displaced
     shaken: float = -np.inf  # s, last frame in which the camera was displaced
     tried: float = -np.inf  # s, last search for the targets by their colours
-    asked: bool = False  # a grey frame showed a displaced target: the next frame, in colour, checks all targets
+    colour_frame_requested: bool = False  # a grey frame showed a displaced target: check all in the next, in colour
 
     def __len__(self) -> int:
         return len(self.patches)
@@ -157,16 +157,16 @@ def check_next_target(
     bump_suspected |= watch.shaken <= stamp < watch.shaken + _SHAKES_S
     if not bump_suspected and watch.due - step <= stamp < watch.due:
         return watch, False
-    seen, odd, turn = watch.seen.copy(), False, watch.turn
+    seen, odd, k = watch.seen.copy(), False, watch.last_target
     for _ in range(2 if bump_suspected else 1):
-        turn = (turn + 1) % len(watch)
-        if watch.patches[turn] is None:
+        k = (k + 1) % len(watch)
+        if watch.patches[k] is None:
             continue
-        shift = target_shift(watch, image, turn)
+        shift = target_shift(watch, image, k)
         visible = bool(np.isfinite(shift[0]))
-        odd |= bool(np.hypot(*shift) > DISPLACED_PX) if visible else bool(seen[turn])
-        seen[turn] = visible
-    return replace(watch, seen=seen, turn=turn, due=stamp + step), odd
+        odd |= bool(np.hypot(*shift) > DISPLACED_PX) if visible else bool(seen[k])
+        seen[k] = visible
+    return replace(watch, seen=seen, last_target=k, due=stamp + step), odd
 
 
 def most_have_moved(shift: Array, limit: float) -> bool | None:

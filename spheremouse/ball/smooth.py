@@ -277,13 +277,14 @@ def _filter(
 
 
 def _predict(motion: Motion, dt: float, density: float, informed: bool) -> tuple[Motion, Array]:
-    """Return the motion after `dt` s, and F P, (9, 9), by a copy of the state that stays (stochastic cloning).
+    """Return the motion after `dt` s, and its covariance with the motion before, F P, (9, 9), by stochastic cloning.
 
-    Unless a frame soon corrects the acceleration, it fades (Singer 1970), as in the default filter.
+    The acceleration decays exponentially (Singer 1970), unless a frame with discs (`informed`) soon corrects it, as in
+    the default filter. `density` is that of the white jerk, (rad/s³)² s.
     """
-    fading = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
+    time_constant = np.inf if informed and dt <= 0.5 * PERSISTENCE_S else PERSISTENCE_S
     tiled = np.tile(motion.covariance, (2, 2))
-    attitude, rate, acceleration, P = kernels.predict_motion(*motion[:3], tiled, dt, fading, density)
+    attitude, rate, acceleration, P = kernels.predict_motion(*motion[:3], tiled, dt, time_constant, density)
     return Motion(attitude, rate, acceleration, P[:KINEMATIC_DIM, :KINEMATIC_DIM]), P[:KINEMATIC_DIM, KINEMATIC_DIM:]
 
 

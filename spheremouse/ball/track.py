@@ -81,7 +81,7 @@ def step(
     tracker = current(state, tracker)
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
-    if state.watch.away is not None:
+    if state.watch.moving_since is not None:
         return _with_check(state, None, frame, tracker, seek)
     done = _stages(state, frame, tracker, detected)
     watch = camera_moved.with_references(state.watch, frame, tracker)
@@ -90,7 +90,7 @@ def step(
         done = done._replace(state=done.state._replace(watch=watch))
     # A pushed camera looks like a ball out of round
     odd |= any(isinstance(event, OutOfRound) for event in done.events)
-    if odd or watch.asked or camera_moved.out_of_sight(done.state, frame.stamp):
+    if odd or watch.colour_frame_requested or camera_moved.out_of_sight(done.state, frame.stamp):
         done = _with_check(state._replace(watch=watch), done, frame, tracker, seek)
     if state.status is Status.TRACKING and done.state.status is Status.LOST and camera_moved.hidden(done.state.watch):
         return done._replace(events=(*done.events, TargetsHidden()))
@@ -105,7 +105,8 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
     if watch is None:
         return False
     unknown = stamp >= watch.due and any(patch is None for patch in watch.patches)
-    return watch.asked or watch.away is not None or unknown or camera_moved.out_of_sight(state, stamp)
+    moving = watch.moving_since is not None
+    return watch.colour_frame_requested or moving or unknown or camera_moved.out_of_sight(state, stamp)
 
 
 def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> Step[TrackState]:
@@ -224,8 +225,8 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
     the camera's motion as one of the ball.
     """
     assert state.watch is not None
-    before = state.watch.away
-    away = stamp if before is None else min(before, stamp)
+    before = state.watch.moving_since
+    moving_since = stamp if before is None else min(before, stamp)
     filtered = state.filter
     if before is None:
         filtered = with_uncertain_turn(filtered, camera_moved.apparent_turn(state.watch.shift, tracker))
@@ -235,9 +236,9 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
         detections=no_detections(),
         points=no_points(tracker),
         confirmed=False,
-        watch=replace(state.watch, away=away, shaken=stamp),
+        watch=replace(state.watch, moving_since=moving_since, shaken=stamp),
     )
-    known_at = max(away, min(state.confirmed_at, stamp))  # another camera may show the ball
+    known_at = max(moving_since, min(state.confirmed_at, stamp))  # another camera may show the ball
     if state.status is Status.TRACKING and stamp - known_at > tracker.settings.loss.lost_after:
         return _step(lost(state), stamp, (BallLost(Why.CAMERA),))
     return _step(state, stamp, ())
@@ -349,9 +350,9 @@ def _withheld(state: TrackState, stamp: float) -> tuple[Withheld, Events]:
 
 
 def _doubt(state: TrackState) -> Doubt:
-    """Return the reason why the last frame does not confirm the attitude."""
+    """Return the reason why the last frame, which must be unconfirmed, does not confirm the ball's attitude."""
     used = len(state.filter.used)
-    if state.watch is not None and state.watch.away is not None:
+    if state.watch is not None and state.watch.moving_since is not None:
         return Doubt.CAMERA
     if len(state.points) == 0:
         return Doubt.NO_DISC

@@ -109,7 +109,7 @@ class Capture(threading.Thread):
         self._over = False
         self._wakeup = threading.Event()  # set to end the stream, or the wait for the next attempt
         self._failures = 0  # in a row
-        self._unanswered = 0  # attempts in a row that a camera answered with errors of its bus
+        self._transfer_errors = 0  # TransferErrors in a row
         self._streams = 0  # with at least one frame
         self._recorded = False  # a recording has its own clock and is not played twice
         self.trouble = "the camera is being opened"  # reason for missing frames; empty while they come
@@ -145,14 +145,17 @@ class Capture(threading.Thread):
         self._latest.wake()
 
     def _reset_after(self, error: SpheremouseError) -> None:
-        """Reset a camera that answers with errors: at the first one, and then once for each round of waits."""
+        """Reset the camera at the first of the TransferErrors in a row, and again after every `len(BACK_OFF)` of them.
+
+        The waits begin with the shortest again.
+        """
         if not isinstance(error, TransferError):
-            self._unanswered = 0
+            self._transfer_errors = 0
             return
-        if self._unanswered % len(BACK_OFF) == 0:
+        if self._transfer_errors % len(BACK_OFF) == 0:
             self._say(error.reset())
             self._failures = 0
-        self._unanswered += 1
+        self._transfer_errors += 1
 
     def _fetch(self) -> None:
         """Open the camera and pass its frames on, until the capture ends or the stream fails."""
@@ -181,7 +184,7 @@ class Capture(threading.Thread):
                             break
                         continue
                     if began is None:
-                        began, self._unanswered = now, 0
+                        began, self._transfer_errors = now, 0
                         self.trouble, self.opening = "", False
                         self._streams += 1
                     else:

@@ -56,7 +56,10 @@ class SignalHandler:
             yield frame
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
-        """Request the end of the run at the first signal. Let a second one act by the handlers of before the block."""
+        """Request the end of the run at the first signal; a second one has the effect that it has outside the block.
+
+        A second one within `_DUPLICATE_SIGNAL_S` is ignored. Raises _StopRequest during the wait for a frame.
+        """
         now = time.monotonic()
         if self.asked:
             if now - self._first_time > _DUPLICATE_SIGNAL_S:

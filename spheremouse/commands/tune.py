@@ -39,9 +39,9 @@ def tune(
     The search minimises a cost. With truth, that is the errors of attitude and angular velocity. Without truth, it is
     inconsistent innovations, unused discs and a rough angular velocity. The search uses the first half of the
     recording. If the cost of the second half is not significantly smaller, the command reports that and writes nothing.
-    The budget holds within the time of one trial: the search ends when the rest is needed for that test, and for one
-    run without each new setting. Ctrl-C ends the search and tests the best settings so far. The command needs the extra
-    `tune`.
+    The command may exceed the budget by the time of one trial. It keeps time for the test on the second half, and for
+    one run without each new setting. Ctrl-C ends the search and tests the best settings so far. The command needs the
+    extra `tune`.
     """
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import progress_bar

@@ -119,9 +119,9 @@ class Match:
 
 
 def match(steps: RotationSteps, log: MouseLog) -> Match | None:
-    """Return the regression of `log` on `steps`.
+    """Return the linear regression of the counts in `log` on the rotations in `steps`, at the best lag.
 
-    None if one of them has no motion, or if they share less than eight seconds at the best lag.
+    None if one of them has no motion, or if steps of less than eight seconds in all lie within the log.
     """
     if not (np.any(log.counts) and np.any(steps.rotation)):
         return None

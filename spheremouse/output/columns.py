@@ -50,10 +50,10 @@ def columns(coordinates: StillAxes) -> tuple[Column, ...]:
 
 
 def rows(report: Report) -> Iterator[list[Any]]:
-    """Yield the row of each sample of a report, in the order of `columns`; the pointing ball has the counts."""
+    """Yield the row of each sample of a report, in the order of `columns`; only the ball that points has counts."""
     for sample, counts in report.counted:
         e = sample.estimate
-        held, known, rate = sample.coordinates == "cam", e.status is Status.TRACKING, e.rate.tolist()
+        hand_held, tracked, rate = sample.coordinates == "cam", e.status is Status.TRACKING, e.rate.tolist()
         numbers = [
             *to_quaternion(e.rotation),
             *rate[:3],
@@ -61,7 +61,7 @@ def rows(report: Report) -> Iterator[list[Any]]:
             *_upper(sample.attitude_covariance),
             *_upper(sample.rate_covariance),
         ]
-        if held:
+        if hand_held:
             numbers += [*e.position.tolist(), *rate[3:], *_upper(sample.position_covariance)]
         yield [
             float(e.stamp),
@@ -70,9 +70,9 @@ def rows(report: Report) -> Iterator[list[Any]]:
             sample.ball,
             str(e.status),
             bool(e.confirmed),
-            *(v if known and isfinite(v) else None for v in numbers),
+            *(v if tracked and isfinite(v) else None for v in numbers),
             *counts,
-            *(() if held else _statistics(sample)),
+            *(() if hand_held else _statistics(sample)),
             sample.latency,
             " ".join(sample.events),
         ]

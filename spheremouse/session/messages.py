@@ -223,8 +223,8 @@ def _why(lost: BallLost, words: Words) -> str:
             assert_never(lost.why)
 
 
-def standing(resection: Resection, rig: Rig) -> str:
-    """Describe the camera's pose, its uncertainty and its origin."""
+def describe_camera_pose(resection: Resection, rig: Rig) -> str:
+    """Return a log line: the camera's pose in `obj`, its standard deviations, and the targets that gave it."""
     pose = resection.pose
     size, unit, digits = (1.0 / rig.ball.radius, "radii", 3) if rig.scale_free else (1e3, "mm", 0)
     sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))

@@ -76,7 +76,7 @@ def test_every_target_is_looked_at_once_in_an_interval(near):
     watch, turns = near.watch(), []
     for k in range(61):
         after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, bump_suspected=False)
-        turns += [after.turn] if after is not watch else []
+        turns += [after.last_target] if after is not watch else []
         watch = after
     n = len(watch)
     assert turns[: 2 * n] == [(k + 1) % n for k in range(2 * n)]
@@ -87,7 +87,7 @@ def test_two_targets_are_looked_at_in_each_frame_after_the_camera_was_displaced(
     watch, turns = replace(near.watch(), shaken=0.0), [0]
     for k in range(1, 60):
         watch, _ = watching.check_next_target(watch, near.still[1], k / 30.0, bump_suspected=False)
-        turns.append(watch.turn)
+        turns.append(watch.last_target)
     steps = np.diff(turns) % len(watch)
     assert np.all(steps[:29] == 2)
     assert np.count_nonzero(steps[30:]) <= len(watch) + 1

@@ -638,7 +638,7 @@ def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
         return not wanted[-1]
 
     steps, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, grey)
-    away = [k for k, (s, *_) in enumerate(steps) if s.watch.away is not None or s.watch.asked]
+    away = [k for k, (s, *_) in enumerate(steps) if s.watch.moving_since is not None or s.watch.colour_frame_requested]
     assert away
     assert np.flatnonzero(wanted).tolist() == [0, *(k + 1 for k in away)]
 
@@ -646,7 +646,7 @@ def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
 def test_a_frame_of_a_moving_camera_hides_no_disc():
     """Nothing was detected in it. A disc that was in view stays so, up to what a hand may cover meanwhile."""
     steps, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, lambda *_: False)
-    moving = [(a.state, b.state) for a, b in pairwise(steps) if b.state.watch.away is not None]
+    moving = [(a.state, b.state) for a, b in pairwise(steps) if b.state.watch.moving_since is not None]
     assert moving
     for before, state in moving:
         assert np.all(state.filter.hidden <= np.maximum(before.filter.hidden, HIDDEN_SHARE) + 1e-9)

@@ -168,11 +168,12 @@ def posterior_error(
 
 
 def shared_rotation(before: Array, after: Array, sigma: float) -> tuple[Array, int]:
-    """Return the rotation R, (3, 3), with which most directions match, after = R before, and their number.
+    """Return the rotation R, (3, 3), with which most directions match, after = R before, and the number of matches.
 
-    `before` (m, 3) and `after` (n, 3) are unit vectors, and `sigma` is rad per axis of one direction. Each hypothesis
-    comes from a pair of both with the same angle. Directions match within 5.25 sigma, which includes the error of the
-    pair. Among equal numbers the smallest rotation wins. Without a hypothesis the result is the identity and 0.
+    `before` (m, 3) and `after` (n, 3) are unit vectors, and `sigma` is rad per axis of one direction. A hypothesis
+    comes from two directions of `before` and two of `after` at the same angle to each other. Directions match within
+    5.25 sigma, which includes the error of the hypothesis. Among equal numbers the smallest rotation wins. Without a
+    hypothesis the result is the identity and 0.
     """
     tolerance = 3.5 * math.sqrt(2.0) * sigma  # of the angle between two directions
     groups = max(1, len(after) // _SHARED_GROUP_SIZE)

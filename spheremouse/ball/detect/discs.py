@@ -266,8 +266,8 @@ def unmasked(mask: Image, masks: Iterable[tuple[float, ...]]) -> Image:
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object = None) -> DiscDetector:
     """Prepare the detector for one camera pose. Raises ConfigurationError if the masks hide the whole ball.
 
-    The samples of the picture take 20 ms. If `before` is a detector for the same device, pose and masks, they are used
-    again.
+    The choice of the pixels to sample takes 20 ms. If `before` is a detector with equal masks and the same rig and pose
+    objects, only its settings are replaced.
     """
     fit = FitSettings(
         settings.projection or GREY,

@@ -18,9 +18,9 @@ from spheremouse.ball.detect.rings import (
     Spots,
     TargetDetections,
     candidates_of,
+    concentric_pairs,
     detect_targets,
     spots_of,
-    within,
 )
 from spheremouse.ball.rig import COLOURS
 from spheremouse.geometry.rotation import Array
@@ -125,6 +125,6 @@ def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -
     for inner, outer in permutations(COLOURS, 2):
         large = np.flatnonzero(spots[outer].radius >= least)
         for share in (proportion[1], proportion[0] / proportion[1], proportion[0]):
-            _, around = within(spots[inner], spots[outer], large, float(share), settings)
+            _, around = concentric_pairs(spots[inner], spots[outer], large, float(share), settings)
             found += [(inner + outer, spots[outer].centre[k], float(spots[outer].radius[k])) for k in np.unique(around)]
     return sorted(found, key=lambda pair: -pair[2])[: 3 * MAX_COPIES]

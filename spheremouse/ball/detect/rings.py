@@ -184,8 +184,8 @@ def _nests(
     inner, middle, outer = layers
     least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
     large = np.flatnonzero(outer.radius >= least)
-    around = within(middle, outer, large, proportion[1], settings)
-    inmost = within(inner, outer, np.unique(around[1]), proportion[0], settings)
+    around = concentric_pairs(middle, outer, large, proportion[1], settings)
+    inmost = concentric_pairs(inner, outer, np.unique(around[1]), proportion[0], settings)
     if not len(inmost[0]):
         return inmost[0], False
     misfit = _misfits(inner.radius, inmost, middle.radius, around, outer.radius, proportion)
@@ -195,38 +195,44 @@ def _nests(
     return best[:MAX_COPIES], len(best) > MAX_COPIES
 
 
-def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
-    """Return pairs of a spot of `inside` and one of `outer` round it, (p,) indices each, concentric.
+def concentric_pairs(
+    inner: Spots, outer: Spots, which: NDArray[np.intp], proportion: float, settings: RingSettings
+) -> _Pairs:
+    """Return all concentric pairs, as indices into `inner` and `outer`, (p,) each.
 
-    The inner radius is about `share` of the outer one. `which` (k,) are indices of the outer spots to consider.
+    An inner radius is about `proportion` times the outer one. `which` (k,) are indices of the outer spots to consider.
     """
-    if len(which) * len(inside) > _FEW_PAIRS:
-        one, other = _near(inside, outer, which, share, settings)
+    if len(which) * len(inner) > _FEW_PAIRS:
+        i, o = _candidate_pairs(inner, outer, which, proportion, settings)
     else:
-        one, other = np.tile(np.arange(len(inside)), len(which)), np.repeat(which, len(inside))
-    offset = np.linalg.norm(inside.centre[one] - outer.centre[other], axis=1)
-    ratio = inside.radius[one] / (outer.radius[other] * share)
-    good = (offset < _reach(outer.radius[other], settings)) & (1.0 / settings.ratio < ratio) & (ratio < settings.ratio)
-    return one[good], other[good]
+        i, o = np.tile(np.arange(len(inner)), len(which)), np.repeat(which, len(inner))
+    offset = np.linalg.norm(inner.centre[i] - outer.centre[o], axis=1)
+    deviation = inner.radius[i] / (outer.radius[o] * proportion)
+    in_proportion = (1.0 / settings.ratio < deviation) & (deviation < settings.ratio)
+    good = (offset < _max_offset(outer.radius[o], settings)) & in_proportion
+    return i[good], o[good]
 
 
-def _reach(radius: Array, settings: RingSettings) -> Array:
+def _max_offset(radius: Array, settings: RingSettings) -> Array:
+    """Return the greatest distance of concentric centres, px, by the outer radius, px."""
     return np.maximum(settings.concentric * radius, 1.0)
 
 
-def _near(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
-    """Return the pairs of many spots that may fit.
+def _candidate_pairs(
+    inner: Spots, outer: Spots, which: NDArray[np.intp], proportion: float, settings: RingSettings
+) -> _Pairs:
+    """Return a superset of the pairs of many spots that fit.
 
     The search takes place and size as one box, with sizes stretched to its shape. A place has room for few outlines of
     one size, but a large outline may contain many small ones.
     """
     from scipy.spatial import KDTree  # it takes 0.3 s, and most pictures have few spots
 
-    least, most = share / settings.ratio, share * settings.ratio
+    least, most = proportion / settings.ratio, proportion * settings.ratio
     stretch = 2.0 * settings.concentric / (most - least)
-    reach = _reach(outer.radius[which], settings)
+    reach = _max_offset(outer.radius[which], settings)
     at = np.column_stack((outer.centre[which], 0.5 * stretch * (least + most) * outer.radius[which]))
-    tree = KDTree(np.column_stack((inside.centre, stretch * inside.radius)))
+    tree = KDTree(np.column_stack((inner.centre, stretch * inner.radius)))
     near = tree.query_ball_point(at, reach * (1.0 + 1e-9), p=np.inf)
     counts = np.fromiter(map(len, near), np.intp, len(near))
     return np.fromiter(chain.from_iterable(near), np.intp, int(counts.sum())), np.repeat(which, counts)

@@ -37,7 +37,7 @@ DOUBTFUL_RMS = 0.5  # px; sharp photos of the right camera stay far below
 
 _OUTLIER_CHI2 = gate(1.0 - 1e-4, 2)  # one normal error in ten thousand exceeds it
 _HUBER_KNEE = 2.0  # standard deviations, before false points are known
-_MAX_DISTANCE_ERROR = 3.5  # standard deviations of a distance from the photos
+_MAX_DISTANCE_SIGMAS = 3.5  # standard deviations of a distance from the photos
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,24 +285,27 @@ def _all_image_points(result: BundleResult) -> MeasuredPoints:
 
 
 def check_distances(result: BundleResult, device: Device) -> None:
-    """Raise DistanceError for a distance that contradicts photos and other distances."""
-    at = 2 * len(result.problem.image)
-    residual = result.solution.adjusted.residual[at : at + len(device.distances)]
-    number = distance_redundancy(result.problem, result.solution)
-    checked = number > 1e-3
+    """Raise DistanceError for a tape distance that contradicts photos and other distances (Baarda 1968).
+
+    Raises CalibrationError if the photos do not even fit each other. Distances without redundancy are not checked.
+    """
+    first = 2 * len(result.problem.image)
+    residual = result.solution.adjusted.residual[first : first + len(device.distances)]  # standard deviations
+    redundancies = distance_redundancy(result.problem, result.solution)
+    checked = redundancies > 1e-3
     if not np.any(checked):
         return
-    sigmas = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, number, 1.0)), 0.0)
+    sigmas = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, redundancies, 1.0)), 0.0)
     worst = int(np.argmax(sigmas))
-    if sigmas[worst] <= _MAX_DISTANCE_ERROR:
+    if sigmas[worst] <= _MAX_DISTANCE_SIGMAS:
         return
     rms = image_rms(result.problem, result.solution)
     if rms > DOUBTFUL_RMS:
         raise CalibrationError(
-            f"photos and distances contradict each other, and the photos themselves are {rms:.1f} px off: is the "
-            "camera file of this camera, mode and focus?"
+            f"photos and distances contradict each other, and the photos themselves are {rms:.1f} px off: does "
+            "the camera file belong to this camera, mode and focus?"
         )
-    by_others = device.distances[worst].metres + residual[worst] / number[worst] * device.distances[worst].sigma
+    by_others = device.distances[worst].metres + residual[worst] / redundancies[worst] * device.distances[worst].sigma
     raise DistanceError(device, worst, by_others, float(sigmas[worst]))
 
 

@@ -93,33 +93,36 @@ def first_block(
             )
             views = _without(views, behind[0], reason)
             continue
-        strange = _strange(views, block, device, camera)
-        if strange is None:
+        inconsistent = _inconsistent_photo(views, block, device, camera)
+        if inconsistent is None:
             return _scale(views, block, device)
-        photo, residual_px = strange
+        photo, residual_px = inconsistent
         reason = (
             f"its targets do not fit the other photos ({residual_px:.0f} px): another device, or a target was moved"
         )
         views = _without(views, photo, reason)
 
 
-def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> tuple[int, float] | None:
-    """The photo without which the others fit best, and the residual with it, px; None if all fit.
+def _inconsistent_photo(
+    views: TargetViews, block: Block, device: Device, camera: InteriorOrientation
+) -> tuple[int, float] | None:
+    """Return the index of the photo without which the others fit best, and the largest RMS of a photo of all, px.
 
-    Of several wrong photos, the worst comes first.
+    None if all fit, with fewer than three photos, or if the others fit little better without it.
     """
-    all_off = _rms(views, block, device, camera)
-    if np.max(all_off) <= _MAX_RMS or len(views.photos) < 3:
+    rms = _rms(views, block, device, camera)
+    if np.max(rms) <= _MAX_RMS or len(views.photos) < 3:
         return None
-    rest = []
+    squares_without = []
     for i in range(len(views.photos)):
         others = _without(views, i, "")
         try:
-            rest.append(float(np.sum(_rms(others, _adjust(others, device, camera), device, camera) ** 2)))
+            squares_without.append(float(np.sum(_rms(others, _adjust(others, device, camera), device, camera) ** 2)))
         except CalibrationError:
-            rest.append(np.inf)
-    best = int(np.argmin(rest))
-    return (best, float(np.max(all_off))) if rest[best] < _MAX_REMAINING * float(np.sum(all_off**2)) else None
+            squares_without.append(np.inf)
+    worst = int(np.argmin(squares_without))
+    fits = squares_without[worst] < _MAX_REMAINING * float(np.sum(rms**2))
+    return (worst, float(np.max(rms))) if fits else None
 
 
 def _scale(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:

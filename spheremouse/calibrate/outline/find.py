@@ -49,7 +49,7 @@ _SAMPLING_PX = 0.25  # px
 _OUTSIDE_SAMPLES = 6  # samples
 _MIN_EDGE_VARIANCE = 0.02  # of the variance within: less is noise
 _MAX_BACKGROUND_VARIANCE = 0.25  # of the variance within: the background
-_STEP_PX, _MIN_STEP = 2.5, 5.0  # px to each side, and grey values a pixel: a step of the mean picture at the edge
+_STEP_REACH_PX, _MIN_STEP_SLOPE = 2.5, 5.0  # px to each side, and grey values a pixel, of a step of the mean picture
 _MIN_STEP_SHARE = 0.5  # steps, of the edges
 _STEP_FLOOR_PX, _STEP_SHARED = (0.08, 0.12), (0.3, 0.3)  # as those below, by steps
 _FLOOR_PX = (0.1, 0.25)  # standard deviations of centre and radius by blur and shading
@@ -192,7 +192,11 @@ def _no_ball() -> CalibrationError:
 
 
 def _refine(change: Change, outline: Outline, camera: InteriorOrientation, level: float) -> tuple[Outline, Array]:
-    """Return the outline by the edges across it, at which the gradient over the change is `level`, 1/px, and those."""
+    """Return the outline fitted to edges near `outline`, and the edges that it fits, (n, 2) px.
+
+    At an edge, the gradient of the change, divided by the change, is `level`, 1/px. Clear steps of the mean picture
+    replace the edges. Raises CalibrationError if too little of the outline is in the picture or has an edge.
+    """
     f = np.sqrt(camera.fx * camera.fy)
     pixels, edges = outline.pixels(camera), np.zeros((0, 2))
     for part in _SEARCH_RANGES:
@@ -212,7 +216,7 @@ def _refine(change: Change, outline: Outline, camera: InteriorOrientation, level
         )
     if support < _MIN_SUPPORT:
         raise CalibrationError(
-            f"no round outline: an edge is on {support:.0%} of the best one", f"{_TURN_HINT}, {POINTS}"
+            f"no round outline: only {support:.0%} of the best one is on an edge", f"{_TURN_HINT}, {POINTS}"
         )
     edges, floor_px, shared = edges[fits], _FLOOR_PX, _SHARED_SCATTER
     steps = _steps(change.mean, outline, edges, camera)
@@ -256,20 +260,20 @@ def _edges(change: Change, pixels: Array, reach: float, level: float) -> Array:
 
 
 def _steps(mean: Array, outline: Outline, edges: Array, camera: InteriorOrientation) -> Array:
-    """Return the steps of the mean picture, (n, 2) px, across an outline near its `edges`, where they are clear.
+    """Return the places, (n, 2) px, at which the mean picture has a clear step of brightness across the outline.
 
-    They are sharper than the edges of the change, which gloss moves inwards.
+    They are near the `edges` of the change, (m, 2) px. Gloss moves those edges inwards, but not the steps.
     """
     pixels = outline.pixels(camera)
-    normal, offset = _normals(pixels), np.arange(-_STEP_PX, _STEP_PX + _SAMPLING_PX, _SAMPLING_PX)
+    normal, offset = _normals(pixels), np.arange(-_STEP_REACH_PX, _STEP_REACH_PX + _SAMPLING_PX, _SAMPLING_PX)
     profile = _sample(mean, pixels[:, None] + offset[:, None] * normal[:, None])
     slope = np.abs(profile[:, 2:] - profile[:, :-2]) / (2.0 * _SAMPLING_PX)
     k, i = np.argmax(slope, axis=1), np.arange(len(slope))
     inner = np.clip(k, 1, slope.shape[1] - 2)
     a, b, c = (slope[i, inner + d] for d in (-1, 0, 1))
     place = offset[1 + inner] + _SAMPLING_PX * 0.5 * (a - c) / np.minimum(a - 2.0 * b + c, -1e-9)
-    near = np.min(np.linalg.norm(pixels[:, None] - edges[None], axis=2), axis=1) < 2.0 * _STEP_PX
-    ok = near & (k == inner) & (b > _MIN_STEP)
+    near = np.min(np.linalg.norm(pixels[:, None] - edges[None], axis=2), axis=1) < 2.0 * _STEP_REACH_PX
+    ok = near & (k == inner) & (b > _MIN_STEP_SLOPE)
     return pixels[ok] + place[ok, None] * normal[ok]
 
 

@@ -83,12 +83,13 @@ def solve(
     disc_angle: Callable[[RollingAdjustment, Views], float | None],
     progress: Progress,
 ) -> Solution:
-    """Find ball, camera and discs in a recording; `readout` s and its standard deviation.
+    """Return the ball's direction and size, its discs and its attitudes in a recording, from a known `camera`.
 
-    `disc_angle` returns the discs' radius over the ball's after a first result, or None to take it from the images.
-    `progress` wraps the frames of each pass. Raises CalibrationError if the recording does not determine them.
+    `readout` is in s, with its standard deviation. `disc_angle` gets a first result and returns the discs' radius over
+    the ball's, or None to take it from the images. `progress` wraps the frames of each pass. After three passes, the
+    last result counts. Raises CalibrationError if the recording does not determine it.
     """
-    views, found, block, polarity = _ball_found(footage, camera, progress)
+    views, found, start_s, polarity = _ball_found(footage, camera, progress)
     assert views.first is not None
     _check_still(views, found, camera)
     settings = Settings(discs=DiscSettings(polarity=polarity))
@@ -103,7 +104,7 @@ def solve(
         return rolled, tracked, replace(rig, disc_radius=rig.disc_angle * tracked.size)
 
     rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
-    rolled, tracked, rig = adjusted(rig, found, block)
+    rolled, tracked, rig = adjusted(rig, found, start_s)
     given = disc_angle(rolled, views)
     rig = rig if given is None else replace(rig, disc_radius=given)
     for _ in range(3):
@@ -114,8 +115,8 @@ def solve(
             if given is None:
                 raise
             raise CalibrationError(
-                f"{e}. If it did turn: are the lengths right? By them a disc's radius is {given:.3g} of the ball's; "
-                "neither may be a diameter"
+                f"{e}. If the ball did turn, check the lengths: they give {given:.3g} for a disc's radius over the "
+                "ball's, and neither may be a diameter"
             ) from None
         rig = refined_rig if given is None else rig
         change = abs(np.log(rolled.rolling.ratio / before.ratio)) + np.linalg.norm(

@@ -88,7 +88,7 @@ class V4L2Camera:
         self._device: Device | None = device
         self._controls = controls
         self._lock = Lock()
-        self._out: dict[int, V4L2Frame] = {}
+        self._lent: dict[int, V4L2Frame] = {}  # frames whose buffers the driver does not have, by index
         self._ready = poll()
         self._ready.register(device.fd, POLLIN)
         self._stamps, self._count = Stamps(), Count()
@@ -137,15 +137,15 @@ class V4L2Camera:
         payload = device.buffers[buffer.index][: buffer.bytesused]
         frame = V4L2Frame(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
         with self._lock:
-            self._out[buffer.index] = frame
+            self._lent[buffer.index] = frame
         return frame
 
     def take_back(self, index: int, raw: V4L2Frame) -> None:
-        """Queue a raw frame's buffer again, unless it is queued or the camera is closed."""
+        """Queue a raw frame's buffer again, unless this frame has given it back before or the camera is closed."""
         with self._lock:
-            if self._out.get(index) is not raw:
+            if self._lent.get(index) is not raw:
                 return
-            del self._out[index]
+            del self._lent[index]
             if self._device is not None:
                 with suppress(OSError):  # `next` reports that the camera is gone
                     self._device.queue(index)

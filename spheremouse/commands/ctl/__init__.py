@@ -139,7 +139,7 @@ def import_(
     as_json: _Json = False,
     socket: Socket = None,
 ) -> None:
-    """Set the parameters in a file that `export` wrote, as `set` does."""
+    """Read a file that `export` wrote, and set its parameters as `set` does."""
     from spheremouse.files.exchange import import_settings
     from spheremouse.files.yaml import read_document
 

@@ -58,7 +58,8 @@ class Sight:
 def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pose | None, Finding]:
     """Return the camera's pose from the targets, and a finding about their residual.
 
-    A pose in the rig comes first. It is None with fewer than three targets, in grey pictures, or if no pose is found.
+    If the rig has a pose, that one is returned. The pose is None with fewer than three targets, in grey pictures, or if
+    none is found.
     """
     if rig.pose is not None:
         return rig.pose, ok("targets", "none are needed: the rig knows where the camera is")
@@ -86,7 +87,7 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
     return found.pose, classify(
         "targets",
         f"{len(found.codes)} of {len(all_codes)} found ({listed}), residual {residual:.2f} px",
-        (residual > limit, Verdict.WARNING, f"; {limit:.2f} px would be a millimetre on the frame", hint),
+        (residual > limit, Verdict.WARNING, f"; up to {limit:.2f} px is usual", hint),
         (only_three, Verdict.WARNING, ": nothing checks them", f"uncover or light {hidden}"),
         **numbers,
     )

@@ -168,7 +168,7 @@ def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict
 
 
 def wand_description(ball: WandBall) -> dict[str, Any]:
-    """Return a ball for scene.json."""
+    """Return the description of a ball for scene.json; lengths in m."""
     discs = []
     for disc in ball.discs:
         azimuth, latitude = angles_of(disc)

@@ -131,7 +131,7 @@ def _camera_text(camera: InteriorOrientation) -> str:
 
 
 def _targets_lines(rig: Rig) -> list[str]:
-    """Return the lines of the targets; each has its covariance, or a joint one follows the last target."""
+    """Return the YAML lines of n targets, with a covariance each or, if they are correlated, a joint one, (3n, 3n)."""
     joint, n = rig.targets.covariance, len(rig.targets.ids)
     own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
     correlated = bool(np.any(joint != block_diagonal(own))) if n else False
@@ -143,7 +143,7 @@ def _targets_lines(rig: Rig) -> list[str]:
         lines += [] if correlated else _covariance_lines(covariance, "    covariance", "  # m²")
     lines += _matrix_lines(joint, "targets_covariance", "  # m², of x, y, z of each target") if correlated else []
     if rig.cross_covariance is not None:
-        comment = "  # m², of the same rows with the ball's centre x, y, z and radius"
+        comment = "  # m², rows x, y, z of each target, columns the ball's x, y, z and radius"
         lines += _covariance_lines(rig.cross_covariance, "targets_ball_covariance", comment)
     return lines
 

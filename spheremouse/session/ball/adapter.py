@@ -149,7 +149,7 @@ class BallAdapter(TrackerAdapter):
             for report in reports:
                 self._log(f"{name}views passed over: {report}")
             if start.resection is not None:
-                camera.set_pose(start.pose, messages.standing(start.resection, camera.rig), start.resection)
+                camera.set_pose(start.pose, messages.describe_camera_pose(start.resection, camera.rig), start.resection)
             starts.append(start.frames)
         self.waiting = self._waiting()
         if self.rig.scale_free:

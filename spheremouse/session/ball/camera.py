@@ -57,8 +57,8 @@ class PosedCamera:
         self._posed = 0.0  # s, time.monotonic() when the pose was found
         self.tracker: Tracker | None = None  # at the first pose; None while that is not known
         self.waiting = "the ring targets are looked for"  # reason why nothing can be tracked; empty if it can
-        self.late = 0  # frames in a row that were older than those of another camera
-        self.lag = 0.0  # s, by which the last one was
+        self.late_frames = 0  # in a row, that were older than those of another camera
+        self.lag_s = 0.0  # s, by which the last one was
         self._seen_at = np.inf  # s, stamp of the last frame
         self._agreement = 1.0  # share of the points that are discs of the map, in the mean over the last frames
         self.detected = 0.0  # s, time.monotonic() at the end of the last detection
@@ -86,16 +86,17 @@ class PosedCamera:
 
     def is_late(self, frame: Frame, state: TrackState) -> bool:
         """Return whether a frame is older than the last one of another camera, which `state` includes. Count it."""
-        self.lag = state.filter.stamp - frame.stamp
-        self.late = self.late + 1 if self.lag > 0.0 else 0
-        return self.lag > 0.0
+        self.lag_s = state.filter.stamp - frame.stamp
+        self.late_frames = self.late_frames + 1 if self.lag_s > 0.0 else 0
+        return self.lag_s > 0.0
 
     def trouble(self, state: TrackState | None) -> str:
-        """Return the reason why this camera takes no part in tracking; empty if it does. From any thread."""
+        """Return the reason why this camera takes no part in tracking; empty if there is none. Thread-safe."""
         if self.waiting:
             return self.waiting
-        if self.late > _MAX_LATE:
-            return f"its frames are {1e3 * self.lag:.0f} ms older than those of the other camera: give both one mode"
+        if self.late_frames > _MAX_LATE:
+            lag = f"its frames are {1e3 * self.lag_s:.0f} ms older than those of the other camera"
+            return f"{lag}: set both to the same mode"
         if state is None:
             return ""
         if self._agreement < _MIN_AGREEMENT and state.status is Status.TRACKING:
@@ -104,7 +105,7 @@ class PosedCamera:
                 "again; if it sees other targets than the other camera, run `spheremouse calibrate tie`"
             )
         part = part_of(state, self.number)
-        moving_since = None if part is None or part.watch is None else part.watch.away
+        moving_since = None if part is None or part.watch is None else part.watch.moving_since
         if part is not None and moving_since is not None and part.shown_at - moving_since > _MAX_MOVING_S:
             return "it was moved, and its new pose is not found: uncover its targets"
         return ""
@@ -114,7 +115,7 @@ class PosedCamera:
         try:
             found = self.first_pose.look(frame)
             if found is not None:
-                self.set_pose(found.pose, messages.standing(found, self.rig), found)
+                self.set_pose(found.pose, messages.describe_camera_pose(found, self.rig), found)
         except PoseError as e:
             self.waiting = str(e)
 
@@ -218,7 +219,7 @@ class PosedCamera:
         except Exception:
             self._cancel("internal error")
             raise
-        self._reinitialisation.answer(None, messages.standing(found, self.rig))
+        self._reinitialisation.answer(None, messages.describe_camera_pose(found, self.rig))
         self._reinitialisation = None
         asked = tuple(replace(e, asked=True) if isinstance(e, CameraMoved) else e for e in made.events)
         return made._replace(events=asked)

@@ -19,7 +19,11 @@ _SYSTEM = Path("/run/spheremouse")
 
 
 def runtime_folder() -> Path:
-    """Return the runtime folder, made if needed: systemd's, else for root the system's, for others the user's."""
+    """Return the folder of the control socket: $RUNTIME_DIRECTORY, or else one that is created if it is missing.
+
+    That is /run/spheremouse for root, and `_own_folder` for others. Raises ControlError if it cannot be created, if
+    it is another user's, or if others may write there.
+    """
     given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
     if given:
         return Path(given)

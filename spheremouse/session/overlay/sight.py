@@ -60,9 +60,9 @@ def draw_sight(
     words: tuple[tuple[str, float], ...],
     spots: tuple[Array, Array] = (np.zeros((0, 2)), np.zeros(0)),
 ) -> Image:
-    """Draw the detections into a copy of the image.
+    """Return a copy of the image with the detections; a small image is enlarged by a whole factor to about 1280 px.
 
-    `spots` are centres (n, 2) px and areas (n,) px². `words` are as in `Pen.caption`.
+    `spots` are round dark spots: centres (n, 2) px of `image` and areas (n,) px². `words` are as in `Pen.caption`.
     """
     scale = max(1, round(1280 / image.shape[1]))
     canvas = canvas_of(image, scale)
