@@ -183,7 +183,7 @@ class World:
         self.frames: list[Any] = []  # counts of tracked frames
         self._lock = threading.Lock()
         self.error: BaseException | None = None
-        self.asked = False  # to stop
+        self.stop_requested = False
         self.config = folder / "config.yaml"
         self.socket = folder / "s"
         if not self.config.exists():
@@ -291,7 +291,7 @@ class World:
         plan, opener = read_run_config(overrides), self.opener
         parts = LiveRun(overrides, plan, self.setup, opener, self.said.append)  # pyright: ignore[reportArgumentType]
         self.daemon = Daemon(parts, show=show if watch is None else watch, frames=frames)
-        self.asked = False
+        self.stop_requested = False
         self._thread = threading.Thread(target=self._run, name="daemon")
         self._thread.start()
         return self.daemon
@@ -299,13 +299,13 @@ class World:
     def _run(self) -> None:
         assert self.daemon is not None
         try:
-            self.daemon.run(self)  # pyright: ignore[reportArgumentType]  all it looks at is `asked`
+            self.daemon.run(self)  # pyright: ignore[reportArgumentType]  all it looks at is `stop_requested`
         except BaseException as e:
             self.error = e
 
     def stop(self) -> None:
         """End it, and see that nothing is left."""
-        self.asked = True
+        self.stop_requested = True
         self.join()
         assert self.cameras == 0
         assert self.out == 0

@@ -75,7 +75,7 @@ def serve(folder: Path, camera_type: type[Camera] = Camera, fps: float = FPS) ->
     outputs.open_output = lambda spec: sink
     camera, overrides = camera_type(film.colour, fps), CommandLineOverrides(config)
     parts = LiveRun(overrides, read_run_config(overrides), Setup(), lambda plan: lambda: camera, print)
-    Daemon(parts).run(cast(Any, SimpleNamespace(asked=False)))
+    Daemon(parts).run(cast(Any, SimpleNamespace(stop_requested=False)))
     np.save(folder / "times.npy", np.array(sink.times))
 
 

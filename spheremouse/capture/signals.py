@@ -26,7 +26,7 @@ class SignalHandler:
     """Handle SIGINT and SIGTERM within the `with` block. A second signal has its usual effect."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.stop_requested = False
         self._waiting = False  # `frames` waits for a frame
         self._first_time = 0.0  # s, monotonic, of the first signal
         self._before: dict[signal.Signals, Any] = {}
@@ -40,10 +40,10 @@ class SignalHandler:
 
     def frames(self, frames: Iterator[Frame]) -> Iterator[Frame]:
         """Yield the frames until a signal arrives."""
-        while not self.asked:
+        while not self.stop_requested:
             try:
                 self._waiting = True
-                if self.asked:  # a signal arrived before `_waiting` was set
+                if self.stop_requested:  # a signal arrived before `_waiting` was set
                     return
                 frame = next(frames)
                 self._waiting = False
@@ -51,7 +51,7 @@ class SignalHandler:
                 return
             finally:
                 self._waiting = False
-            if self.asked:
+            if self.stop_requested:
                 return
             yield frame
 
@@ -61,12 +61,12 @@ class SignalHandler:
         A second one within `_DUPLICATE_SIGNAL_S` is ignored. Raises _StopRequest during the wait for a frame.
         """
         now = time.monotonic()
-        if self.asked:
+        if self.stop_requested:
             if now - self._first_time > _DUPLICATE_SIGNAL_S:
                 self._restore()
                 signal.raise_signal(number)
             return
-        self.asked, self._first_time = True, now
+        self.stop_requested, self._first_time = True, now
         if self._waiting:
             self._waiting = False
             raise _StopRequest

@@ -44,7 +44,7 @@ def log_mouse(
     with SignalHandler() as signals, Listener(mouse, grab) as listener:
         print(f"listening to {mouse}; move the ball, end with Ctrl-C", file=sys.stderr, flush=True)
         end = time.monotonic() + seconds
-        problem = listener.listen(reports.append, lambda: signals.asked or time.monotonic() >= end)
+        problem = listener.listen(reports.append, lambda: signals.stop_requested or time.monotonic() >= end)
         write_log(out, f"device {mouse.name}", reports)
     if problem:
         print(f"{problem}: the log ends there", file=sys.stderr)

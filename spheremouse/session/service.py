@@ -64,7 +64,7 @@ class Daemon:
         """
         parts, handle = self.parts, partial(command_handler.handle, self.parts)
         captures, arrivals, now = parts.captures, parts.arrivals, time.monotonic()
-        while not (stopping.asked or parts.ending):
+        while not (stopping.stop_requested or parts.ending):
             arrival = parts.ring.take(NEXT_FRAME_S if arrivals.on_time(now) else _MAX_FRAME_WAIT_S)
             now, finished = time.monotonic(), captures.finished
             if arrival is not None:

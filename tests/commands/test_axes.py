@@ -80,7 +80,7 @@ class Played:
     """Motions as a adapter gives them."""
 
     def __init__(self, configuration, live=True):
-        self.stopping = SimpleNamespace(asked=False)
+        self.stopping = SimpleNamespace(stop_requested=False)
         self.dialogue = Dialogue(configuration, self.stopping, live)
         self._t = 0.0
         self.rest()
@@ -114,7 +114,7 @@ def by_hand(player):
 def test_each_seat_is_told_by_its_gestures(player, capsys):
     played = Played(Configuration())
     played.make(*by_hand(player))
-    assert played.stopping.asked
+    assert played.stopping.stop_requested
     ((name, value, _),) = played.dialogue.conclusion()
     assert (name, value) == ("motion.player", player)
     assert capsys.readouterr().out.count("of 3:") == 3
@@ -126,7 +126,7 @@ def test_a_gesture_that_is_under_way_when_it_is_interrupted_counts_for_nothing()
     played.make(right, away)
     for _ in range(10):
         played.frame(spin / 10, np.zeros(3))
-    played.stopping.asked = True  # Ctrl-C
+    played.stopping.stop_requested = True  # Ctrl-C
     assert played.dialogue.conclusion() == []
     assert played.dialogue.stopped
 
@@ -139,7 +139,7 @@ def test_what_was_wrong_is_asked_for_again(capsys):
         played.make(right)  # the second time taken for the second gesture; no seat has it
     played.make(spin)
     assert "not understood" in capsys.readouterr().out
-    assert not played.stopping.asked
+    assert not played.stopping.stop_requested
     for k in range(20):  # there and most of the way back
         played.frame(right / 10 if k < 10 else -0.8 * right / 10, np.zeros(3))
     played.rest()

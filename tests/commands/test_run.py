@@ -321,7 +321,7 @@ def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it(number):
             if frame == 2:
                 os.kill(os.getpid(), number)
             got.append(frame)
-    assert (got, stopping.asked) == ([0, 1, 2], True)
+    assert (got, stopping.stop_requested) == ([0, 1, 2], True)
 
 
 def test_a_signal_while_a_frame_is_awaited_ends_the_wait():
@@ -343,7 +343,7 @@ def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
         with SignalHandler() as stopping:
             for _ in range(3):
                 os.kill(os.getpid(), signal.SIGINT)
-            assert stopping.asked
+            assert stopping.stop_requested
             monkeypatch.setattr("spheremouse.capture.signals._DUPLICATE_SIGNAL_S", -1.0)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)

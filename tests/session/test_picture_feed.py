@@ -148,7 +148,7 @@ CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_path):
     settings = ("realtime=off", f"control.socket={tmp_path / 's'}", f"source=dataset:{CLIP}", "output=null")
     overrides = CommandLineOverrides(None, settings, no_map=True)
-    plan, results, stop = read_run_config(overrides), [], SimpleNamespace(asked=False)
+    plan, results, stop = read_run_config(overrides), [], SimpleNamespace(stop_requested=False)
     setup = open_replay(plan)
 
     def show(made, _, __):
@@ -165,7 +165,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
             assert client.ask("status")["source"]["replay"]["speed"] == 20.0
         until(lambda: [r[0] for r in results].count(0) > 3)
     finally:
-        stop.asked = True
+        stop.stop_requested = True
         thread.join(PATIENCE)
     starts = [k for k, result in enumerate(results) if result[0] == 0]
     recording = open_dataset(CLIP)

@@ -86,7 +86,7 @@ class Dialogue:
     @property
     def stopped(self) -> bool:
         """True if a signal ended it before it had a result."""
-        return self._stopping.asked and self.found is None
+        return self._stopping.stop_requested and self.found is None
 
     def log(self, text: str) -> None:
         """Lines of the run."""
@@ -148,7 +148,7 @@ class Dialogue:
             self.found = found
             saying = self._asked.choices[found.candidate][2]
             print(f"understood: {saying} (the gestures are off by {errors})", flush=True)
-            self._stopping.asked = True
+            self._stopping.stop_requested = True
             return
         what = f"not understood: {_MIRRORED} (off by {errors}); {_ON_TOP}"
         if not self._live:

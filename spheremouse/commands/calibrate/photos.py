@@ -91,7 +91,7 @@ def photos(
             screen.ring()
     repeat_command = photos_command(folder, what, () if source is None else ("--source", source))
     follows = (camera_command if what == "camera" else device_command)(folder)
-    for line in _conclusion(outcome, place, (follows, repeat_command), _MIN_PHOTOS[what], stopping.asked):
+    for line in _conclusion(outcome, place, (follows, repeat_command), _MIN_PHOTOS[what], stopping.stop_requested):
         screen.conclude(line)
 
 

@@ -173,7 +173,7 @@ def _film(source: str, seconds: float, ask: bool) -> tuple["FrameBuffer", Any]:
                     print(f"{text}: {'in ' if past < 0.0 else ''}{left} s", file=sys.stderr, flush=True)
                 if past >= length:
                     break
-            if stopping.asked:
+            if stopping.stop_requested:
                 break
     if not buffer.stored:
         raise CalibrationError("the camera gave no frame")

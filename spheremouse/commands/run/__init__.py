@@ -255,7 +255,7 @@ def serve(
     if parts.latency is not None:
         median, slow = (1e3 * seconds for seconds in parts.latency)
         view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
-    if daemon.finished and failure is None and not stopping.asked:
+    if daemon.finished and failure is None and not stopping.stop_requested:
         failure = parts.adapter.failure(parts.worker.trouble)
     return failure, parts.adapter.final_messages(failed=failure is not None)
 
@@ -293,9 +293,9 @@ def follow(
             if smooth:
                 tracked = offline.smoothed(tracked, adapter, plan.configuration.so3)
             offline.follow(tracked, adapter, targets, view)
-            failure = None if stopping.asked else adapter.failure("")
+            failure = None if stopping.stop_requested else adapter.failure("")
         except PoseError as e:
-            failure = None if stopping.asked else e  # a signal ended the frames
+            failure = None if stopping.stop_requested else e  # a signal ended the frames
         except SpheremouseError as e:
             failure = e
     view.tally.left_out = {"before anything could be tracked": adapter.untracked}
