@@ -66,7 +66,13 @@ struct Line {
     }
 };
 
-std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handle image_, nb::handle starts,
+/// Return the place of the greatest of three values between its neighbours, by a parabola: -1/2 to 1/2.
+double vertex(float before, float greatest, float after) {
+    const float bend = (greatest - before) + (greatest - after);
+    return bend > 0.0f ? 0.5 * double(after - before) / double(bend) : 0.0;
+}
+
+std::tuple<NewArray<double>, NewArray<double>, double> outline_slopes(nb::handle image_, nb::handle starts,
                                                                        nb::handle steps, size_t samples) {
     const Image image = array<const uint8_t, -1, -1, -1>(image_, "image");
     const auto from = matrix<Dynamic, 2>(starts, "starts");
@@ -76,7 +82,7 @@ std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handl
     if (samples < 2 * SLOPE || samples > 100000) throw nb::type_error("samples: must be a number from 16 to 100000");
     const size_t n = size_t(from.rows()), places = samples - 2 * SLOPE + 1;
     Vector<Dynamic> strongest = Vector<Dynamic>::Zero(from.rows());
-    std::vector<int64_t> where(n);
+    Vector<Dynamic> where = Vector<Dynamic>::Zero(from.rows());
     std::vector<float> all;
     {
         const nb::gil_scoped_release unlocked;
@@ -89,8 +95,9 @@ std::tuple<NewArray<double>, NewArray<int64_t>, double> outline_slopes(nb::handl
             std::copy_if(slope.begin(), slope.end(), std::back_inserter(all), [](float s) { return s >= 0.0f; });
             for (size_t j = 1; j + 1 < places; j++) {
                 const float least = std::min(slope[j - 1], slope[j + 1]), most = std::max(slope[j - 1], slope[j + 1]);
-                if (least >= 0.0f && slope[j] >= most && slope[j] > strongest(i))
-                    strongest(i) = slope[j], where[i] = int64_t(SLOPE + j);
+                if (!(least >= 0.0f && slope[j] >= most && slope[j] > strongest(i))) continue;
+                strongest(i) = slope[j];
+                where(i) = double(SLOPE + j) + vertex(slope[j - 1], slope[j], slope[j + 1]);
             }
         }
         const auto middle = all.begin() + ptrdiff_t(all.size() / 2);

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
@@ -29,6 +30,7 @@ _WEIGHT_SCALES = 0.01, 0.006, 0.004, 0.003, 0.002, 0.002  # of the radius, of th
 _MIN_INFORMATION = 1e-9  # edges: along a direction that no edge shows, the shift is 0
 _SHARING_NEIGHBOURS = 4.0  # neighbours that share the error of an edge
 _SIDE_SIGMA_PX = 0.1  # standard deviation of one side of an outline against the other, from shading
+_NONE = np.zeros(0, dtype=np.intp)
 _MIN_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a twentieth agrees by chance
 
 
@@ -52,11 +54,13 @@ class SeenBall(NamedTuple):
     size_error: float  # relative, of the rig's radius; 0 if the outline does not show it
     sigma: float  # standard deviation of that; infinite if the outline does not show it
     centre: SeenCentre
+    trust: Array  # (240,) of each normal, 0..1: its edge is that of the ball
 
 
 class _Edges(NamedTuple):
     """Edges across the predicted outline: the strongest on each normal, if it is clear."""
 
+    which: NDArray[np.intp]  # (n,) indices of their normals
     error: Array  # (n,) relative error of the radius that puts the outline on the edge
     normal: Array  # (n, 3) of the ball there, obj
     normals: int  # number of normals in the picture, with an edge or without
@@ -108,25 +112,29 @@ def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
     first = int(agree.argmax())
     towards = pose.position - home  # a larger ball looks like one that is nearer by the same share
     at_mode = float(error[first : first + agree[first]].mean()) * towards
-    as_rig, at_mode = (_fit(found, radius, start) for start in (np.zeros(3), at_mode))
+    as_rig, at_mode = (_fit(found, radius, start, np.ones(len(error))) for start in (np.zeros(3), at_mode))
     fit = max(at_mode, as_rig, key=lambda fit: fit.weight.sum())
     size = float(towards @ fit.shift) / float(towards @ towards)
     agree, rivals = (int(np.count_nonzero(np.abs(off) < 2.0 * sigma * radius)) for off in (fit.off, radius * error))
     if agree < _MIN_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
-        return SeenBall(0.0, np.inf, _centre(as_rig, found, rig, pose, home))
-    return SeenBall(size, sigma, _centre(fit, found, rig, pose, home))
+        size, sigma, fit = 0.0, np.inf, as_rig
+    trust = np.zeros(_POINTS)
+    trust[found.which] = fit.weight
+    return SeenBall(size, sigma, _centre(fit, found, rig, pose, home), trust)
 
 
-def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array) -> SeenCentre | None:
+def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array, trust: Array | None = None) -> SeenCentre | None:
     """Return the ball's centre that the outline shows, near the `expected` one, (3,) m in obj.
 
-    Along the line of sight a shift looks like shade and blur, so that part is left out. Returns None if too little of
-    the outline is seen.
+    An edge counts by the `trust` (240,) in its normal, from the first frame (None: all alike), since a ball that moves
+    passes the edges of struts. Along the line of sight a shift looks like shade and blur, so that part is left out.
+    Returns None if too little of the outline is seen.
     """
     found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _MAX_ERROR)
     if not _suffices(found, _POINTS // 2):
         return None
-    return _centre(_fit(found, rig.ball.radius, np.zeros(3)), found, rig, pose, expected)
+    prior = np.ones(len(found.which)) if trust is None else trust[2 * found.which]
+    return _centre(_fit(found, rig.ball.radius, np.zeros(3), prior), found, rig, pose, expected)
 
 
 def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> SeenCentre:
@@ -144,15 +152,15 @@ def _suffices(found: _Edges, points: int) -> bool:
     return len(found.error) >= _MIN_SUPPORT * found.normals and found.normals >= _MIN_SUPPORT * points
 
 
-def _fit(found: _Edges, radius: float, start: Array) -> _Fit:
+def _fit(found: _Edges, radius: float, start: Array, prior: Array) -> _Fit:
     """Return the shift of the centre by the edges, from a `start`, (3,) m in obj, by robust least squares.
 
-    A shift d moves the edge on a normal n as a radius that is larger by n·d does (weights of Geman and McClure 1987).
+    A shift d moves the edge on a normal n as a radius that is larger by n·d does. The edges' weights are the `prior`
+    ones, (n,), times those of Geman and McClure (1987).
     """
-    n, error, shift = found.normal, radius * found.error, start
-    weight, N = np.ones(len(n)), np.eye(3)
+    n, error, shift, weight, N = found.normal, radius * found.error, start, prior, np.eye(3)
     for scale in _WEIGHT_SCALES:
-        weight = 1.0 / (1.0 + ((error - n @ shift) / (scale * radius)) ** 2) ** 2
+        weight = prior / (1.0 + ((error - n @ shift) / (scale * radius)) ** 2) ** 2
         N = n.T @ (weight[:, None] * n) + _MIN_INFORMATION * np.eye(3)
         shift = np.asarray(np.linalg.solve(N, n.T @ (weight * error)), float)
     return _Fit(shift, weight, N, error - n @ shift)
@@ -164,12 +172,12 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     try:
         uv, larger = (sphere_outline(centre, k * radius, rig.camera, points) for k in (1.0, 1.0 + reach))
     except np.linalg.LinAlgError:  # not wholly in front of the camera
-        return _Edges(np.zeros(0), np.zeros((0, 3)), 0, 1.0)
+        return _Edges(_NONE, np.zeros(0), np.zeros((0, 3)), 0, 1.0)
     px = float(np.median(np.linalg.norm(larger - uv, axis=1))) / reach
     h, w = image.shape[:2]
     inside = np.all((uv > 1) & (uv < [w - 2, h - 2]), axis=1)
     if not (inside.any() and px < max(w, h)):
-        return _Edges(np.zeros(0), np.zeros((0, 3)), 0, px)
+        return _Edges(_NONE, np.zeros(0), np.zeros((0, 3)), 0, px)
     step = _STEP_PX / px
     first, samples = -reach - _SLOPE * step, int(2.0 * reach / step) + 2 * _SLOPE
     way = (larger - uv)[inside] / reach  # px, by an error of 1
@@ -179,4 +187,4 @@ def _edges(image: Image, rig: Rig, pose: Pose, at: Array, points: int = _POINTS,
     ray = np.column_stack([unproject(uv[inside][clear], rig.camera)[0], np.ones(np.count_nonzero(clear))])
     ray *= np.sqrt(centre @ centre - radius**2) / np.linalg.norm(ray, axis=1, keepdims=True)  # to the tangent points
     error = np.asarray(first + step * (where[clear] - 0.5), float)  # half-way from the sample before
-    return _Edges(error, (ray - centre) / radius @ pose.rotation.T, len(slope), px)
+    return _Edges(np.flatnonzero(inside)[clear], error, (ray - centre) / radius @ pose.rotation.T, len(slope), px)

@@ -128,6 +128,7 @@ class OutlineCheck(NamedTuple):
     seen: SeenCentre | None = None  # in the last frame, if it was measured
     measured: float = -np.inf  # s, stamp of the frame in which it was measured last
     first: SeenCentre | None = None  # in the first frame; None after the centre moved before it proved its place
+    trust: Array | None = None  # (240,) in the edges of its normals, by the first frame (`outline.SeenBall`)
     away: int = 0  # frames in a row in which the outline was far from its first place
     drift: float = 0.0  # m, farthest from that place before
     watched: float = 0.0  # rad the ball has turned while the outline was measured
@@ -148,6 +149,10 @@ class OutlineCheck(NamedTuple):
     def is_in_place(self) -> bool:
         """Return whether the outline of the last frame is where it was in the first."""
         return self.seen is not None and self.first is not None and self.away == 0
+
+    def again(self, first: SeenCentre | None) -> "OutlineCheck":
+        """Return a new check from the place `first`, at the same pose."""
+        return OutlineCheck(begun=True, first=first, trust=self.trust)
 
 
 class Tracking(NamedTuple):

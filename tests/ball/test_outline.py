@@ -72,6 +72,26 @@ def test_a_shift_across_the_line_of_sight_is_measured(view, free, shift):
     assert off @ np.linalg.solve(seen.scatter + seen.common * np.eye(2), off) < 9.0
 
 
+def test_an_edge_that_is_not_the_balls_in_the_first_frame_is_none_later():
+    """Struts hide both sides of the outline, with their edges 9 mm inside. The ball moves towards one of these."""
+    rig, pose, home = scene("far")
+    shift = pose.rotation @ [-0.006, 0.0, 0.0]
+    moved = scene("far", shift=tuple(shift))[2]
+    inside = home.astype(float).reshape(*home.shape[:2], -1)[..., 0] > 0.5 * home.max()
+    v, u = np.argwhere(inside).mean(axis=0)
+    y, x = np.indices(inside.shape)
+    strut = (np.abs(x - u) > np.abs(y - v)) & (np.hypot(x - u, y - v) > 0.985 * np.sqrt(inside.sum() / np.pi))
+    for picture in (home, moved):
+        picture[strut] = 90
+    trust = seen_ball(home, rig, pose).trust
+    error = [
+        np.linalg.norm(seen.place - seen.axes.T @ shift)
+        for seen in (seen_centre(moved, rig, pose, rig.ball.centre + 0.5 * shift, t) for t in (None, trust))
+    ]
+    assert error[0] > 1e-3
+    assert error[1] < 5e-4
+
+
 def test_a_shift_is_no_error_of_the_radius():
     """A mode of the radii alone would be that of the side to which the ball has moved."""
     rig, pose, picture = scene("far", shift=(0.004, 0.003, 0.0))
@@ -123,6 +143,7 @@ def test_slopes_agree_with_scipy_also_beyond_the_picture_and_beside_black_pixels
     starts, steps = rng.uniform((-5.0, -5.0), (65.0, 45.0), (200, 2)), rng.uniform(-0.4, 0.4, (200, 2))
     truth = slopes(image, starts, steps, 50)
     largest, where, median = kernels.outline_slopes(image, starts, steps, 50)
+    sample = np.rint(where).astype(int)
     beside = np.lib.stride_tricks.sliding_window_view(truth, 3, axis=1)[:, :, ::2]
     for slack in (-1e-3, 1e-3):  # a plateau is a peak, or none by its rounding
         peak = (beside.min(axis=2) >= 0.0) & (truth[:, 1:-1] >= beside.max(axis=2) - slack)
@@ -131,7 +152,12 @@ def test_slopes_agree_with_scipy_also_beyond_the_picture_and_beside_black_pixels
     assert np.count_nonzero(truth < 0.0) > 200
     assert np.count_nonzero(most == 0.0) > 0
     found = largest > 0.0
-    np.testing.assert_allclose(truth[found, where[found] - 8], largest[found], atol=1e-3)
+    np.testing.assert_allclose(truth[found, sample[found] - 8], largest[found], atol=1e-3)
+    before, peak, after = (truth[found, sample[found] - 8 + k] for k in (-1, 0, 1))
+    bend = 2.0 * peak - before - after
+    clear = bend > 0.1
+    vertex = 0.5 * (after - before)[clear] / bend[clear]
+    np.testing.assert_allclose((where - sample)[found][clear], vertex, atol=1e-3)
     known = np.sort(truth[truth >= 0.0])
     assert median == pytest.approx(known[len(known) // 2], abs=1e-3)
 

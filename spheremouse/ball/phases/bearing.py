@@ -23,7 +23,7 @@ from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
-from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, OutlineCheck, Tracker, TrackState, lost
+from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
 
 # Filters a frame: the state before it, its stamp, the tracker, and the prediction
 Follow = Callable[[TrackState[So3State], float, Tracker[So3Filter], So3State], TrackState[So3State]]
@@ -63,7 +63,7 @@ def check_learning(
         state = state._replace(filter=tracker.filter.let_centre_move(state.filter))
     state = state._replace(
         centre=CentreCheck(moved=True, wrong_rig=not outline.has_moved),
-        outline=OutlineCheck(begun=True, first=outline.first if outline.is_in_place else None),
+        outline=outline.again(outline.first if outline.is_in_place else None),
     )
     state = filtered_again(state, np.zeros((0, 2)), views, tracker)
     return state, () if check.moved else (OutOfRound(),)
@@ -157,7 +157,7 @@ def _filtered_with_shift(
     state = follow(before, stamp, tracker, predicted)
     turned = 0.0 if unproven else check.turned
     check = CentreCheck(moved=True, wrong_rig=wrong_rig, turned=turned, home=check.home)
-    return state._replace(centre=check, outline=OutlineCheck(begun=True, first=first)), predicted
+    return state._replace(centre=check, outline=outline.again(first)), predicted
 
 
 def back_on_bearings(

@@ -44,7 +44,7 @@ def with_first_outline(
     if ball is None:
         return state._replace(outline=OutlineCheck(begun=True)), ()
     first = ball.centre if state.filter.centre_noise == 0.0 else None
-    state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first))
+    state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first, trust=ball.trust))
     if state.rebuilt is not None or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
         return state, ()
     stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
@@ -63,7 +63,7 @@ def with_outline(
     speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
     if not (moves or _is_due(state, predicted.stamp, speed)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
-    seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre)
+    seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre, check.trust)
     turned = speed * max(predicted.stamp - state.filter.stamp, 0.0)
     check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
