@@ -304,6 +304,22 @@ def test_a_ball_out_of_its_place_looks_as_if_camera_and_room_had_moved_instead(s
     assert np.mean(np.abs(home.ball - small.backdrop.ball) > 0.02) < 1e-4
 
 
+def test_the_outline_of_a_ball_out_of_its_place_has_its_exact_shape():
+    """Off the camera's axis it is an ellipse, which turns as the ball moves aside."""
+    scene = replace(default_scene(1, "near", width=320, height=240), surroundings=())
+    centre = np.array([0.03, 0.0, 0.0])
+    elsewhere = replace(scene, pose=Pose(scene.pose.rotation, scene.pose.position - centre))
+    found = render_layers(scene, render_backdrop(scene)).backdrop(centre).outline
+    true = render_backdrop(elsewhere).outline
+
+    def second_moments(view):
+        pixels = np.indices(view.shape).reshape(2, -1)
+        return np.cov(pixels, aweights=view.ravel())
+
+    assert abs(second_moments(true)[0, 1]) > 7.0
+    assert np.allclose(second_moments(found), second_moments(true), atol=0.3)
+
+
 def test_a_lifted_ball_goes_and_comes_back_and_an_eccentric_one_goes_round(small):
     lift = Lift(1.0, 2.0, (0.0, 0.03, 0.0))
     assert np.allclose([lift.at(t)[1] for t in (0.5, 1.0, 1.4, 1.6, 2.0, 3.0)], [0, 0, 0.03, 0.03, 0, 0], atol=1e-12)

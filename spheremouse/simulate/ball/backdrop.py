@@ -2,8 +2,8 @@
 
 A frame is a mixture of the two, weighted by the fraction of each pixel that the discs cover. If the ball leaves its
 place, for example lifted off its bearings, three layers are combined: the ball alone, the room without it, and the
-objects before it. The ball's picture then follows its outline by a shift and a scale. Shade and gloss move with it; no
-truth depends on them. These pictures have no discs. `surface` adds the discs at their exact places.
+objects before it. The ball's picture then follows its outline by an affine map. Shade and gloss move with it; no truth
+depends on them. These pictures have no discs. `surface` adds the discs at their exact places.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproject
+from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.layers import Window
@@ -103,7 +103,7 @@ def _mix(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth
 def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
     """Return the grey values at rays, (n, 3), with a white and with a black ball. A ray that hits nothing is black."""
     light, gloss, albedo = np.zeros((3, len(xy), 3))
-    points = view.pose.position + depth[:, None] * view.rays(xy)
+    points = view.pose.position + np.nan_to_num(depth, posinf=0.0)[:, None] * view.rays(xy)
     on_ball, on_room = np.flatnonzero(ids == 0), np.flatnonzero(ids >= _IDS_PER_SHAPE)
     if len(on_ball):
         at = points[on_ball]
@@ -144,9 +144,9 @@ class Layers(NamedTuple):
         """With the ball's centre at (3,) m in obj."""
         scene, (h, w) = self.scene, self.front.shape[:2]
         here, there = (project_sphere(scene.pose.to_cam(c), scene.ball_radius) for c in (np.zeros(3), centre))
-        scale = float((np.linalg.det(there[1]) / np.linalg.det(here[1])) ** 0.25)
-        uv, _ = reduced_to_pixel(np.array([here[0], there[0]]), scene.camera)
-        M = np.column_stack([scale * np.eye(2), uv[1] - scale * uv[0]])  # moves the ball's outline to its place
+        uv, shapes = ellipse_to_pixel(np.array([here[0], there[0]]), np.array([here[1], there[1]]), scene.camera)
+        A = _root(shapes[1]) @ np.linalg.inv(_root(shapes[0]))  # maps the ball's ellipse onto that in its place
+        M = np.column_stack([A, uv[1] - A @ uv[0]])
         white, black, outline = (
             np.asarray(cv2.warpAffine(image, M, (w, h)), dtype=np.float32)
             for image in (self.alone.white, self.alone.black, self.alone.outline)
@@ -155,6 +155,12 @@ class Layers(NamedTuple):
         rest = self.painted + behind * (np.float32(1.0) - outline[..., None]) * self.room
         pictures = (rest + behind * white, rest + behind * black, behind[..., 0] * outline, outline)
         return Backdrop(*(np.asarray(picture, dtype=np.float32) for picture in pictures))
+
+
+def _root(shape: Array) -> Array:
+    """Return the symmetric root of a positive definite matrix, (2, 2): it maps the unit circle onto an ellipse."""
+    values, axes = np.linalg.eigh(shape)
+    return axes * np.sqrt(values) @ axes.T
 
 
 def render_layers(scene: Scene, backdrop: Backdrop) -> Layers:
