@@ -265,8 +265,11 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     seen = level.seen._replace(mean=(pattern[part] * first).astype(np.float32), odds=np.zeros_like(level.seen.odds))
     nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
     counts = seen.counts > STATIC_ODDS
-    number = np.bincount(part[counts], minlength=len(power))
-    total = np.bincount(part[counts], nats[counts], minlength=len(power)) / DETAIL
+    known = counts & (nats != 0.0)  # what has turned into view since the first frame cannot tell
+    if 2 * np.count_nonzero(known) < np.count_nonzero(counts):
+        return False
+    number = np.bincount(part[known], minlength=len(power))
+    total = np.bincount(part[known], nats[known], minlength=len(power)) / DETAIL
     return bool(np.count_nonzero(total > -STATIC_ODDS) > TURNING * np.count_nonzero(number >= _MIN_SAMPLES))
 
 

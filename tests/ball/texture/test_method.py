@@ -107,6 +107,13 @@ def test_a_ball_that_is_lifted_is_lost_and_found_when_it_lies_in_its_bearings():
     assert errors_of(made, steps, first)[-10:].max() < 0.3
 
 
+@pytest.mark.parametrize("pattern", ["marble", pytest.param("patches", marks=pytest.mark.slow)])
+def test_a_near_ball_at_15_hz_is_found_though_new_parts_turn_into_view(pattern):
+    """They tell nothing, since the first frame did not show them."""
+    made, tracker = film(pattern, seconds=2.6, motion="axes", view="near", fps=15.0)
+    assert events(follow([m.frame for m in made], tracker)) == [Found, Turned]
+
+
 def test_what_stands_still_before_the_ball_is_left_out(speckle):
     """The struts of the frame cross the picture; most of the ball's samples are known to turn."""
     odds = speckle[2][-1].state.search.fine.seen.odds
