@@ -475,12 +475,14 @@ class BallModel:
 class FieldsView:
     """Weight fields, (c, h, w), and glare, (1, h, w) or (0, 1, 1), for the functions below, without a copy.
 
-    `place` has left, top and factor, the last three arguments a value for each colour (`colour.Fields`).
+    `place` has left, top and factor, `exposure_motion` is (6,), and the others have a value for each colour
+    (`colour.Fields`).
     """
 
     def __init__(
-        self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float, rim_sigma: _Float
-    ) -> None: ...
+        self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float, rim_sigma: _Float,
+        cover: _Float, exposure_motion: _Float,
+    ) -> None: ...  # fmt: skip
 
 def log_likelihood(
     position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, sigma: float, disc_weight: _Float,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
-from spheremouse.wand.rims import OVEREXPOSED, RIM_SIGMA, Image, rim_shift, rim_shift_by_brightness
+from spheremouse.wand.rims import OVEREXPOSED, RIM_SIGMA, Image, least_cover, rim_shift, rim_shift_by_brightness
 from spheremouse.wand.settings import ColourSettings
 
 Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
@@ -56,16 +56,18 @@ class Fields:
     colours: tuple[str, ...]
     rim: Array  # (c,) px of the field by which a rim between print and white is selected too far outward
     rim_sigma: Array  # (c,) px, its standard deviation
+    cover: Array  # (c,) least fraction of print in a selected pixel
     glare: NDArray[np.uint8]  # (1, h, w) 255 inside glare, blurred as `weight`; (0, 1, 1) without glare
+    exposure_motion: Array = field(default_factory=lambda: np.zeros(6))  # m, rad in cam: of the ball; 0 if unknown
 
     kernel: kernels.FieldsView = field(init=False)  # the same for native functions
 
     def __post_init__(self) -> None:
         place = np.array([self.left, self.top, self.factor], dtype=float)
         fraction = np.clip(self.fraction, _MIN_FRACTION, _MAX_FRACTION)
-        object.__setattr__(
-            self, "kernel", kernels.FieldsView(self.weight, self.glare, place, fraction, self.rim, self.rim_sigma)
-        )
+        rim = self.rim, self.rim_sigma, self.cover
+        view = kernels.FieldsView(self.weight, self.glare, place, fraction, *rim, self.exposure_motion)
+        object.__setattr__(self, "kernel", view)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +115,13 @@ def colour_fields(
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
     fraction = known.fraction if region else count / max(binary[0].size, 1)
     rim = [
-        (rim_shift(colours[name]) / factor, RIM_SIGMA)
+        (rim_shift(colours[name]) / factor, RIM_SIGMA, least_cover(colours[name]))
         if colours[name].saturation_min > 0.0
         else rim_shift_by_brightness(part, picture, bound, factor)
         for name, picture, bound in zip(names, binary, bounds, strict=True)
     ]
-    shift, sigma = (np.array(each, dtype=float) for each in zip(*rim, strict=True))
-    return Fields(weight, binary, left, top, factor, fraction, names, shift, sigma, glare)
+    shift, sigma, cover = (np.array(each, dtype=float) for each in zip(*rim, strict=True))
+    return Fields(weight, binary, left, top, factor, fraction, names, shift, sigma, cover, glare)
 
 
 def _bounds(colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float) -> NDArray[np.float32]:

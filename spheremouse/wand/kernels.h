@@ -79,14 +79,15 @@ struct Planes {
 class FieldsView {
   public:
     FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim,
-               nb::handle rim_sigma);
+               nb::handle rim_sigma, nb::handle cover, nb::handle exposure_motion);
 
     /// Raise a TypeError unless each colour of a ball has a field.
     void require_colours_of(const BallModel& ball) const;
 
     Planes weight, glare;
     double left, top, factor;
-    std::vector<double> fraction, rim, rim_sigma;  // of each colour
+    std::vector<double> fraction, rim, rim_sigma, cover;  // of each colour
+    Vector<6> exposure_motion;                            // m, rad in cam: of the ball; 0 if unknown
 
   private:
     Array<const uint8_t, -1, -1, -1> arrays_[2];  // that own the planes
@@ -97,8 +98,8 @@ struct Sight {
     explicit Sight(size_t points);
 
     // all points of the ball: cosine of the viewing angle, px of the field, lines of sight along the rim and out of the
-    // disc, px of the field per rad, depth
-    std::vector<float> facing, x, y, along, outward, scale, depth;
+    // disc, px of the field per rad, depth, px of the field moved across the rim during the exposure
+    std::vector<float> facing, x, y, along, outward, scale, depth, across;
     std::vector<double> disc_weight;
     // visible points: index; weight; px of the field; glare; for coloured ones field m, expected field e, residual r,
     // de / d(rim offset) g, and the arguments of e

@@ -92,6 +92,38 @@ WIDE void project(const BallModel& ball, const Pose& pose, const FieldsView& fie
     }
 }
 
+/// Write the px by which each point of a ball moves across its rim during the exposure.
+WIDE void blur(const BallModel& ball, const Pose& pose, const FieldsView& fields, Sight& s) {
+    const double per_radius = 1.0 / ball.radius;
+    const Eigen::Vector3f c = (per_radius * pose.R.transpose() * pose.c).cast<float>();
+    const Eigen::Vector3f shift = (per_radius * pose.R.transpose() * fields.exposure_motion.head<3>()).cast<float>();
+    const Eigen::Vector3f turn = (pose.R.transpose() * fields.exposure_motion.tail<3>()).cast<float>();
+    const float c0 = c[0], c1 = c[1], c2 = c[2], m0 = shift[0], m1 = shift[1], m2 = shift[2];
+    const float w0 = turn[0], w1 = turn[1], w2 = turn[2], per_focal = float(fields.factor / ball.camera.fx);
+    const float *u0 = ball.column[0].data(), *u1 = ball.column[1].data(), *u2 = ball.column[2].data();
+    const float *t0 = ball.column[3].data(), *t1 = ball.column[4].data(), *t2 = ball.column[5].data();
+    const float *scale = s.scale.data(), *along = s.along.data();
+    float* across = s.across.data();
+    const size_t size = ball.size;
+#pragma GCC ivdep
+    for (size_t q = 0; q < size; q++) {
+        const float v0 = m0 + w1 * u2[q] - w2 * u1[q], v1 = m1 + w2 * u0[q] - w0 * u2[q];
+        const float v2 = m2 + w0 * u1[q] - w1 * u0[q], r0 = c0 + u0[q], r1 = c1 + u1[q], r2 = c2 + u2[q];
+        const float n0 = t1[q] * r2 - t2[q] * r1, n1 = t2[q] * r0 - t0[q] * r2, n2 = t0[q] * r1 - t1[q] * r0;
+        const float image_of_tangent = std::sqrt(std::max(1.0f - along[q] * along[q], 0.02f));
+        across[q] = std::abs(v0 * n0 + v1 * n1 + v2 * n2) * scale[q] * scale[q] * per_focal / image_of_tangent;
+    }
+}
+
+/// Return the offset of a rim, px outward, that moves by `across` px across itself during the exposure.
+///
+/// It becomes a ramp of that width. A pixel of the ramp is selected from a fraction `cover` of print on: (1 / 2 - cover)
+/// of the ramp outward from the rim at mid-exposure. The lens' blur, with the offset `rim`, adds as two widths do.
+inline float blurred_rim(float rim, float cover, float across) {
+    const float outward = (0.5f - cover) * across;
+    return std::copysign(std::sqrt(rim * rim + outward * outward), outward);
+}
+
 /// Tables over |m - e| of the densities in the ratio, in steps of 1 / 511.
 struct Densities {
     std::vector<double> normal, agree, bare;      // N(m - e); (1 - o) N(m - e); log of that plus o
@@ -255,7 +287,7 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
 }
 
 FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_,
-                       nb::handle rim_sigma_)
+                       nb::handle rim_sigma_, nb::handle cover_, nb::handle exposure_motion_)
     : arrays_{array<const uint8_t, -1, -1, -1>(weight_, "weight"), array<const uint8_t, -1, -1, -1>(glare_, "glare")} {
     Planes* planes[] = {&weight, &glare};
     for (int i : {0, 1})
@@ -263,15 +295,20 @@ FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_,
     const auto place = array<const double, 3>(place_, "place");
     const auto p = array<const double, -1>(fraction_, "fraction"), shift = array<const double, -1>(rim_, "rim");
     const auto shift_sigma = array<const double, -1>(rim_sigma_, "rim_sigma");
+    const auto least = array<const double, -1>(cover_, "cover");
+    const auto motion = array<const double, 6>(exposure_motion_, "exposure_motion");
     if (p.shape(0) != weight.count) throw nb::type_error("fraction: must have a value for each colour");
     if (shift.shape(0) != weight.count) throw nb::type_error("rim: must have a value for each colour");
     if (shift_sigma.shape(0) != weight.count) throw nb::type_error("rim_sigma: must have a value for each colour");
+    if (least.shape(0) != weight.count) throw nb::type_error("cover: must have a value for each colour");
     if (glare.count > 0 && (glare.height != weight.height || glare.width != weight.width))
         throw nb::type_error("glare: must have the size of weight");
     left = place(0), top = place(1), factor = place(2);
     fraction.assign(p.data(), p.data() + p.shape(0));
     rim.assign(shift.data(), shift.data() + shift.shape(0));
     rim_sigma.assign(shift_sigma.data(), shift_sigma.data() + shift_sigma.shape(0));
+    cover.assign(least.data(), least.data() + least.shape(0));
+    exposure_motion = Eigen::Map<const Vector<6>>(motion.data());
 }
 
 void FieldsView::require_colours_of(const BallModel& ball) const {
@@ -281,7 +318,7 @@ void FieldsView::require_colours_of(const BallModel& ball) const {
 }
 
 Sight::Sight(size_t points) {
-    for (auto* v : {&facing, &x, &y, &along, &outward, &scale, &depth, &e, &g}) v->resize(points);
+    for (auto* v : {&facing, &x, &y, &along, &outward, &scale, &depth, &across, &e, &g}) v->resize(points);
     for (auto* v : {&w, &hidden, &m, &r, &bare_w, &bare_x, &bare_y}) v->resize(points);
     for (auto& v : argument) v.resize(points);
     index.resize(points), bare_index.resize(points);
@@ -292,6 +329,8 @@ void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, 
     const double right = weight_field.width - 1.0, bottom = weight_field.height - 1.0;
     const bool glare = glare_field.count > 0;
     project(ball, pose, fields, s);
+    const bool moves = !fields.exposure_motion.isZero(0.0);
+    if (moves) blur(ball, pose, fields, s);
     s.disc_weight.resize(ball.first.size());
     for (size_t d = 0; d < ball.first.size(); d++) {  // area in the picture over that of the kernel
         const size_t q = ball.first[d];
@@ -329,7 +368,8 @@ void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, 
         m[n] = weight_field.at(k, px, py);
         index[n] = q, w[n] = weight, hidden[n] = veil;
         for (int i = 0; i < 7; i++) to[i][n] = from[i][q];
-        to[7][n] = float(fields.rim[size_t(k)]), n++;
+        const float rim = float(fields.rim[size_t(k)]);
+        to[7][n] = moves ? blurred_rim(rim, float(fields.cover[size_t(k)]), s.across[q]) : rim, n++;
     }
     s.coloured = n;
     expect(n, s.argument, s.e.data(), s.g.data());
@@ -347,8 +387,9 @@ void bind_likelihood(nb::module_& m) {
         .def(nb::init<nb::handle, nb::handle, double, nb::handle>(), arg("table"), arg("colour"), arg("radius"),
              arg("lens"));
     nb::class_<FieldsView>(m, "FieldsView")
-        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(), arg("weight"),
-             arg("glare"), arg("place"), arg("fraction"), arg("rim"), arg("rim_sigma"));
+        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(),
+             arg("weight"), arg("glare"), arg("place"), arg("fraction"), arg("rim"), arg("rim_sigma"), arg("cover"),
+             arg("exposure_motion"));
     m.def("log_likelihood", &log_likelihood, arg("position"), arg("rotation"), arg("ball"), arg("fields"), arg("sigma"),
           arg("disc_weight"), arg("which"));
     m.def("evidence_bounds", &evidence_bounds, arg("position"), arg("rotation"), arg("ball"), arg("fields"));

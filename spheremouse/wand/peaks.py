@@ -117,7 +117,7 @@ class Modes:
 
 
 def fields_near(track: Track, motions: MotionMixture, context: SearchContext) -> Fields:
-    """Return the fields of the part of the picture that a tracked ball can reach.
+    """Return the fields of the part of the picture that a tracked ball can reach, with its motion in the exposure.
 
     If the setting `region` is off, return those of the whole picture, which also show a problem with the colours.
     """
@@ -126,7 +126,7 @@ def fields_near(track: Track, motions: MotionMixture, context: SearchContext) ->
     fields = scene.part(region if s.region else None, factor)
     if not s.region and factor == 1:
         scene.whole = fields
-    return fields
+    return replace(fields, exposure_motion=track.exposure_motion)
 
 
 def modes_without_prior(modes: Modes, context: SearchContext) -> Modes:

@@ -19,6 +19,7 @@ _COMPRESSED_SIGMA = 0.5  # px, the same of lights above the knee: their rims are
 _GAMMA = 2.2  # of grey values
 _PRINT_REFLECTANCE = 0.65  # of a print's greatest channel over that of white paper: 0.58 to 0.7
 _MAX_GREY = 255.0
+_UNKNOWN_RIM = 0.0, RIM_SIGMA, 0.5  # shift, standard deviation, cover
 _MIN_COVER = 0.1  # of a pixel, and the same from 1: farther out the rim depends on how far the lens blurs
 _BLUR_KERNEL, _GROUND_KERNEL = np.ones((5, 5), np.uint8), np.ones((11, 11), np.uint8)  # px: blur; ground beside it
 _INNER_KERNELS = _BLUR_KERNEL, np.ones((3, 3), np.uint8), np.ones((1, 1), np.uint8)  # px: less for small discs
@@ -32,16 +33,19 @@ _LENS_BLUR, _PIXEL_BLUR = 0.47, 0.29  # px, standard deviations in a picture in 
 
 
 def rim_shift(colour: ColourSettings) -> float:
-    """Return the px by which a bound on saturation selects a rim between print and white too far outward.
+    """Return the px by which a bound on saturation selects a rim between print and white too far outward."""
+    return _outward(least_cover(colour)) if colour.saturation_min > 0.0 else 0.0
+
+
+def least_cover(colour: ColourSettings) -> float:
+    """Return the least fraction of print in a pixel between print and white that a bound on saturation selects.
 
     Light mixes before the camera's gamma. In a pixel with the fraction c of print, the least channel has 1 - c of the
     white's light, and the greatest has that plus c times the print's. Their ratio to the power of 1 / 2.2 is one minus
     the saturation. The bound therefore gives the least c of a selected pixel, and the blur gives the place of that c.
     """
-    if colour.saturation_min <= 0.0:
-        return 0.0
     least = (1.0 - colour.saturation_min / 255.0) ** _GAMMA  # of the least channel's light over the greatest's
-    return _outward((1.0 - least) / (1.0 - least + least * _PRINT_REFLECTANCE))
+    return (1.0 - least) / (1.0 - least + least * _PRINT_REFLECTANCE)
 
 
 def _outward(cover: float, factor: int = 1) -> float:
@@ -56,33 +60,33 @@ def _outward(cover: float, factor: int = 1) -> float:
 
 def rim_shift_by_brightness(
     image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32], factor: int
-) -> tuple[float, float]:
-    """Return `rim_shift` and its standard deviation for a bound on brightness.
+) -> tuple[float, float, float]:
+    """Return `rim_shift`, its standard deviation, and `least_cover` for a bound on brightness.
 
-    Print and ground are as bright as the picture shows them.
+    Print and ground are as bright as the picture shows them. The cover is a half if that is unknown or inexact.
 
     `one` (h, w) is the binary picture of the colour, and `bound` (6,) has its bounds of hue, saturation and brightness.
     Light mixes before the camera's gamma. So a bound half way between the grey values of print and white selects pixels
     that are nearly all white. px are those of the picture, which is reduced `factor` times.
     """
     if bound[4] <= 0.0 and bound[5] >= _MAX_GREY:
-        return 0.0, RIM_SIGMA
+        return _UNKNOWN_RIM
     rims = _sample_rims(image, one)
     if min(len(rims.within), len(rims.beside)) < _MIN_PIXELS:
-        return 0.0, RIM_SIGMA
+        return _UNKNOWN_RIM
     ours, theirs = float(np.median(rims.within)), float(np.median(rims.beside))
     if min(ours, theirs) >= _KNEE:
-        return 0.0, RIM_SIGMA
+        return _UNKNOWN_RIM
     low, high = _light(min(ours, theirs)), _light(max(ours, theirs))
     compressed = max(ours, theirs) >= _KNEE
     if compressed:
         high = _overexposed_light(rims, low, factor)
     selects = _light(float(bound[4] if ours > theirs else bound[5]))
     if not low < selects < high:  # the bound does not separate the two
-        return 0.0, RIM_SIGMA
-    cover = (selects - low) / (high - low)
-    shift = _outward(cover if ours > theirs else 1.0 - cover, factor)
-    return shift, _COMPRESSED_SIGMA if compressed else RIM_SIGMA
+        return _UNKNOWN_RIM
+    bright = (selects - low) / (high - low)
+    cover = bright if ours > theirs else 1.0 - bright
+    return _outward(cover, factor), *((_COMPRESSED_SIGMA, 0.5) if compressed else (RIM_SIGMA, cover))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ from spheremouse.wand.pose_velocity import PoseVelocityState
 from spheremouse.wand.settings import ColourSettings, WandSettings
 
 PRIOR_MOTION_PROBABILITY = np.array([0.45, 0.45, 0.1])  # rest, constant velocity, sudden start
+EXPOSURES = np.array([0.0, 0.002, 0.004, 0.008, 0.012, 0.016, 0.024])  # s, of a picture: candidates
+EXPOSURE_PRIOR = -np.arange(7.0)  # log-likelihood of each without evidence: the shortest one that explains the rims
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +77,15 @@ class Track:
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s, last measurement
     unseen_frames: int = 0
+    exposure_log_likelihood: Array = field(default_factory=EXPOSURE_PRIOR.copy)  # (n,) of each of `EXPOSURES`
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
     measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost
     second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m
+
+    @property
+    def exposure_motion(self) -> Array:
+        """Motion during the likeliest exposure, (6,) m, rad in cam axes; zero if unknown."""
+        return self.velocity * EXPOSURES[int(np.argmax(self.exposure_log_likelihood))]
 
     @property
     def velocity(self) -> Array:

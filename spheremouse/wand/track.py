@@ -62,7 +62,7 @@ from spheremouse.wand.peaks import (
     search_picture,
 )
 from spheremouse.wand.pose_velocity import GATE, initialise, pose_difference, predict, update
-from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
+from spheremouse.wand.state import EXPOSURE_PRIOR, EXPOSURES, Track, WandPose, WandState, WandTracker
 
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
 _DOUBTFUL_SUPPORT = 0.8  # below, spots are tried besides the prediction
@@ -71,6 +71,7 @@ _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area 
 _PREDICTED_POSES = 48  # predicted particles that are tried
 _REFINED_PREDICTIONS = 2  # best predicted poses that are refined to peaks
 _REFINED_HYPOTHESES = 6  # best poses by spots that are refined to peaks
+_EXPOSURE_PERSISTENCE = 0.9  # part of an exposure's log-likelihood that the next frame inherits: some ten frames count
 _REPORT_AGE = 1.0 - 1e-6  # of a colour problem: the parts of a second that frames add up to are inexact
 _KNOWN_POSE_COVARIANCE = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)  # m², rad²
 
@@ -170,17 +171,19 @@ def follow(
     average = _filter(particles, motions, modes, context.model, s.particles, rng)
     peak = average.peak
     covariance = limit_covariance(peak.covariance)
+    pose_velocity = update(pose_velocity, stamp, peak.position, peak.rotation, covariance, max_acceleration(s))
     after = replace(
         track,
         phase=Status.TRACKING,
         particles=resample_degenerate(average.particles, rng),
         pose=average.pose,
-        pose_velocity=update(pose_velocity, stamp, peak.position, peak.rotation, covariance, max_acceleration(s)),
+        pose_velocity=pose_velocity,
         motion_probability=motion_probabilities(track, average.pose, motions),
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
         measurement_covariance=covariance,
+        exposure_log_likelihood=_exposure_log_likelihood(track, pose_velocity.velocity, peak, modes, context.model),
     )
     return after, _measured_pose(average, modes, context, event)
 
@@ -214,6 +217,7 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
         measurement_covariance=limit_covariance(peak.covariance),
         stamp=stamp,
         seen=stamp,
+        exposure_log_likelihood=track.exposure_log_likelihood,
     )
     after, event = update_second_ball(after, modes, modes.peaks[0].position, 0.0, context)
     return after, _measured_pose(average, modes, context, event)
@@ -272,6 +276,24 @@ def _weighted_as(particles: Particles, peaks: PeakMixture, nearest: NDArray[np.i
     """Return the nearest peak of each particle, (n,), or -1 if another side of the ball shows there."""
     trace = np.einsum("nij,nij->n", particles.rotation, peaks.rotation[nearest])
     return np.where(trace > 1.0 + 2.0 * np.cos(_SAME_SIDE), nearest, -1)
+
+
+def _exposure_log_likelihood(track: Track, velocity: Array, peak: Peak, modes: Modes, m: Model) -> Array:
+    """Return the log-likelihood of each of `EXPOSURES` after a frame, less the greatest one: (n,).
+
+    A moving rim is selected elsewhere than a resting one, by a distance that grows with the exposure. `velocity`, (6,)
+    m/s, rad/s, is that of the frame. Automatic exposure changes, so earlier frames fade. To save time, each frame
+    compares the likeliest exposure with a shorter one and two longer ones.
+    """
+    assert modes.fields is not None
+    pose = peak.position[None], peak.rotation[None]
+    value = EXPOSURE_PRIOR + _EXPOSURE_PERSISTENCE * (track.exposure_log_likelihood - EXPOSURE_PRIOR)
+    best = int(np.argmax(value))
+    near = np.arange(max(best - 1, 0), min(best + 3, len(EXPOSURES)))
+    blurred = (replace(modes.fields, exposure_motion=EXPOSURES[k] * velocity) for k in near)
+    gain = np.array([log_likelihood(*pose, m, fields)[0][0] for fields in blurred])
+    value[near] += gain - gain[near == best]
+    return value - np.max(value)
 
 
 def _modes_near_prediction(
@@ -335,7 +357,8 @@ def _predict_hidden(
     frames = track.unseen_frames + 1
     match = float(modes.match[0]) if modes.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
-        lost = Track(Status.LOST, stamp=stamp, seen=track.seen)
+        exposure = track.exposure_log_likelihood  # that of the camera, whatever it sees
+        lost = Track(Status.LOST, stamp=stamp, seen=track.seen, exposure_log_likelihood=exposure)
         return lost, WandPose.unknown(ball.name, Status.LOST, missing_ball(ball, track.seen), match)
     walk = MotionMixture(
         shift=np.zeros((1, 6)), covariance=random_walk_covariance(dt, s)[None], probability=np.ones(1), birth=0.0

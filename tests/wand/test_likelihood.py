@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from experiments.kit.balls import contrast_ball
 
 from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
 from spheremouse.geometry.rotation import exp, log
@@ -172,6 +173,24 @@ def test_expected_field_equals_the_convolution_at_the_limb(turned):
     assert g == pytest.approx((np.sum(weight * (ball & moved)) / np.sum(weight) - e) / 0.3, abs=0.06)
 
 
+@pytest.mark.parametrize("ball", [BALL, contrast_ball()], ids=lambda b: b.name)
+def test_a_moving_ball_has_the_greatest_likelihood_with_the_motion_of_its_exposure(ball):
+    """At the true pose, against the same picture without that motion and with twice the motion."""
+    options = WandOptions(motion="hand", seed=3, seconds=1.0, fps=10.0, size=(640, 480), focal=800.0, distance=0.8)
+    film = prepare_wand(replace(options, speed=0.8, rate=90.0, blur=0.012), ball)
+    truth, path, m = film.truth(0), film.scene.balls[0].path, ball_model(ball, film.scene.camera)
+    gain = []
+    for shot in simulate_wand(film):
+        k = shot.frame.sequence
+        ends = path.pose(truth.stamp[k] + np.array([-0.006, 0.006]))
+        motion = np.concatenate([ends[0][1] - ends[0][0], log(ends[1][1] @ ends[1][0].T)])
+        seen = colour_fields(shot.frame.image, DEFAULT_COLOURS, ball.colours)
+        of = [replace(seen, exposure_motion=part * motion) for part in (0.0, 1.0, 2.0)]
+        value = [log_likelihood(shot.position, shot.rotation, m, each)[0][0] for each in of]
+        gain.append([value[1] - value[0], value[1] - value[2]])
+    assert np.all(np.sum(gain, axis=0) > [200.0, 100.0]), np.sum(gain, axis=0)
+
+
 def test_glare_is_no_evidence(view):
     """A picture in glare has no evidence. With one disc in glare, the others have theirs."""
     seen, m, p, R, _ = view
@@ -227,8 +246,8 @@ def test_expected_field_equals_its_twin():
 
 
 @pytest.mark.parametrize("spread", [0.1, 1.0, 20.0])
-@pytest.mark.parametrize("glare", [False, True])
-def test_likelihood_equals_its_twin(view, spread, glare):
+@pytest.mark.parametrize(("glare", "motion"), [(False, 0.0), (True, 0.0), (False, 1.0)])
+def test_likelihood_equals_its_twin(view, spread, glare, motion):
     """Poses near the truth and anywhere, some behind the camera or beside the picture.
 
     The tables of |m - e| have steps of 1/511, so a residual is off by at most 1/1022: per unit weight that is the
@@ -240,6 +259,7 @@ def test_likelihood_equals_its_twin(view, spread, glare):
         veil = np.random.default_rng(1).integers(0, 256, (1, 12, 16), dtype=np.uint8)
         veil = np.asarray(cv2.resize(veil[0], seen.weight.shape[:0:-1]))[None]
         seen = replace(seen, glare=veil)
+    seen = replace(seen, exposure_motion=motion * np.array([0.004, -0.006, 0.02, 0.05, 0.02, -0.04]))
     position, rotation = poses(p, R, 60, spread)
     value, match = log_likelihood(position, rotation, m, seen)
     expected = np.array([twins.log_likelihood(*pose, m, seen) for pose in zip(position, rotation, strict=True)])

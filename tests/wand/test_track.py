@@ -14,7 +14,7 @@ from spheremouse.tracker import Frame, Status
 from spheremouse.wand.build import build
 from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, SecondBall
 from spheremouse.wand.settings import ColourSettings, WandSettings
-from spheremouse.wand.state import WandPose
+from spheremouse.wand.state import EXPOSURES, WandPose
 from spheremouse.wand.track import begin, step
 
 HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
@@ -163,6 +163,16 @@ def test_velocity_is_that_of_the_hand(hand, steps):
         speed.append(true)
     for part in (slice(0, 2), slice(2, 3), slice(3, 6)):
         assert np.linalg.norm(np.array(off)[:, part]) < 0.4 * np.linalg.norm(np.array(speed)[:, part])
+
+
+def test_the_exposure_of_a_blurred_ball_is_estimated():
+    """The ball moves by a tenth of its diameter during an exposure. Without its motion, nine frames do not show it."""
+    options = replace(HAND, blur=0.016, fps=20.0, focal=800.0, distance=0.7, speed=0.8, seconds=1.5, seed=5)
+    camera, balls, shots = film(options)
+    state, poses = follow(shots, build(camera, balls))
+    assert all(pose.seen for (pose,) in poses)
+    exposure = EXPOSURES[np.argmax(state.tracks[0].exposure_log_likelihood)]
+    assert 0.008 <= exposure <= 0.024
 
 
 @pytest.mark.slow

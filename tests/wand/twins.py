@@ -117,7 +117,13 @@ def sight(p, R, model, fields, fixed=None):
     weight = ramp * disc_weight[np.cumsum(first)[q] - 1] * (1.0 - hidden)
     m, k, bare = interpolated(fields.weight, u[q], v[q]), np.maximum(colour[q], 0), colour[q] < 0
     along, outward = np.sum(tangent * x, axis=1) / length, np.sum(out * x, axis=1) / length
-    points = np.column_stack([along, outward, facing, scale, table[:, 6:9], fields.rim[np.maximum(colour, 0)]])
+    offset = fields.rim[np.maximum(colour, 0)]
+    if fields.exposure_motion.any():
+        motion = fields.exposure_motion[:3] + np.cross(fields.exposure_motion[3:], radius * normal_)
+        across = np.cross(x / length[:, None], tangent) / np.sqrt(np.maximum(1.0 - along**2, 0.02))[:, None]
+        moved = (0.5 - fields.cover[np.maximum(colour, 0)]) * scale / radius * np.abs(np.sum(motion * across, axis=1))
+        offset = np.copysign(np.hypot(offset, moved), moved)
+    points = np.column_stack([along, outward, facing, scale, table[:, 6:9], offset])
     e, g = (np.where(bare, 0.0, one) for one in expected_field(points[q]))
     r = np.where(bare, m.max(axis=1), m[np.arange(len(q)), k] - e)
     veiled = (hidden > 0) & (r < 0) & ~bare
