@@ -73,6 +73,7 @@ TURNING = 0.7  # of the parts of the ball that are known to turn: a hand or a st
 _MIN_SAMPLES = 100  # samples of a part of the ball that show it
 _TURNED_PX = 17.0  # path, in pixels, after which most pixels of a pattern have shown whether they turn
 _MOVED_PX = 0.5  # path that shows the cells other pixels
+_LESSON_ANGLE = 0.2  # rad, of a turn that brings so much into view that the next lesson does not wait for its frame
 _DETAIL_ANGLE = 0.03  # rad, of path that shows a sample another part of the pattern
 _MAX_TILES = 1300  # that a frame learns: half of those in view, in less than a millisecond
 _TASK_CYCLE = 4  # frames, of which one is learnt, one weighed, one compared: neighbours in time show the same
@@ -185,7 +186,7 @@ def _learnt(
     detector: TextureDetector = tracker.detector_data
     now, alignment = fit.state, fit.alignment
     if alignment is not None:
-        now = _update_pictures(detector, now, fit.light, alignment.attitude)
+        now = _update_pictures(detector, now, fit.light, alignment)
         now = now._replace(unseen=now.unseen + _FRAME_WEIGHT * (float(not shows_all_axes(alignment)) - now.unseen))
         if not now.searched:
             now = _with_running_means(now, alignment)
@@ -265,7 +266,7 @@ def _turns_all_over(view: TextureView, level: Level, attitude: Array, noise: flo
     seen = level.seen._replace(mean=(pattern[part] * first).astype(np.float32), odds=np.zeros_like(level.seen.odds))
     nats = weigh(view, seen, level.picture, attitude, noise, apart=0.0).odds
     counts = seen.counts > STATIC_ODDS
-    known = counts & (nats != 0.0)  # what has turned into view since the first frame cannot tell
+    known = counts & (nats != 0.0)  # the first frame did not show the others, so they prove nothing
     if 2 * np.count_nonzero(known) < np.count_nonzero(counts):
         return False
     number = np.bincount(part[known], minlength=len(power))
@@ -316,13 +317,20 @@ def _angle(a: Array, b: Array) -> float:
 
 
 def _update_pictures(
-    detector: TextureDetector, now: TextureState, shown: tuple[ChartLight, ChartLight], attitude: Array
+    detector: TextureDetector, now: TextureState, shown: tuple[ChartLight, ChartLight], alignment: Alignment
 ) -> TextureState:
-    """Return the state with what a frame at an attitude shows of the ball, and of what stands still."""
-    pixel = detector.fine.pixel
+    """Return the state with what a frame shows of the ball at its alignment, and of what stands still.
+
+    A frame that shows no rotation about some axis teaches nothing, since its attitude about that axis is unknown. But
+    stripes, of which no frame shows it, look the same at any rotation about their axis. A search may find a wrong
+    attitude, so its frame teaches nothing before the next one fits near its prediction.
+    """
+    pixel, attitude = detector.fine.pixel, alignment.attitude
+    placed = not now.searched and (now.reported[0] or shows_all_axes(alignment))
     starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
     turn, task = divmod(now.frame_index, _TASK_CYCLE)
-    moved = now.turned and task == 0 and _angle(attitude, now.learnt_at) > _MOVED_PX * pixel
+    since = _angle(attitude, now.learnt_at)
+    moved = placed and now.turned and since > (_MOVED_PX * pixel if task == 0 else _LESSON_ANGLE)
     path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
     weighs = task == _TASK_CYCLE // 2 or not now.turned
     work = _Work(weighs, starts, moved, turn, min(path / _DETAIL_ANGLE, 1.0) / _PATHS_TO_KNOW_LIGHT)

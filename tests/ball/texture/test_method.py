@@ -10,6 +10,7 @@ from spheremouse.ball.events import AxisUnseen, BallLost, Found, NewMap, OutOfRo
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.texture.method import TEXTURE
+from spheremouse.ball.texture.picture import shows_all_axes
 from spheremouse.ball.track import step, with_pose, with_settings
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose
@@ -109,9 +110,35 @@ def test_a_ball_that_is_lifted_is_lost_and_found_when_it_lies_in_its_bearings():
 
 @pytest.mark.parametrize("pattern", ["marble", pytest.param("patches", marks=pytest.mark.slow)])
 def test_a_near_ball_at_15_hz_is_found_though_new_parts_turn_into_view(pattern):
-    """They tell nothing, since the first frame did not show them."""
+    """New parts prove nothing, since the first frame did not show them."""
     made, tracker = film(pattern, seconds=2.6, motion="axes", view="near", fps=15.0)
     assert events(follow([m.frame for m in made], tracker)) == [Found, Turned]
+
+
+def test_a_near_ball_that_turns_by_12_degrees_a_frame_is_followed():
+    """The picture learns new parts of the ball before the known ones leave the view."""
+    made, tracker = film("marble", seconds=3.4, turns=2.0, view="near", fps=15.0, size=(480, 360))
+    steps = follow([m.frame for m in made], tracker)
+    assert events(steps) == [Found, Turned]
+    first = next(k for k, s in enumerate(steps) if s.estimate.confirmed)
+    assert errors_of(made, steps, first).max() < 0.3
+
+
+def test_a_frame_that_shows_no_turn_about_some_axis_teaches_nothing():
+    """Else its cells would count as known ones later, and the attitude would be wrong without notice."""
+    made, tracker = film("marble", seconds=3.4, turns=3.0, view="near", fps=15.0, size=(480, 360))
+    steps = follow([m.frame for m in made], tracker)
+    first = next(k for k, s in enumerate(steps) if s.estimate.confirmed)
+    offset = steps[first].estimate.rotation.T @ made[first].attitude
+    unseen = 0
+    for k in range(first + 1, len(steps)):
+        now, before = steps[k].state.search, steps[k - 1].state.search
+        if before.turned and now.alignment is not None and not shows_all_axes(now.alignment):
+            unseen += 1
+            assert now.learnt_at is before.learnt_at
+        error = log(steps[k].estimate.rotation @ offset @ made[k].attitude.T)
+        assert error @ np.linalg.solve(steps[k].estimate.covariance[:3, :3], error) < 16.0
+    assert unseen > 0
 
 
 def test_what_stands_still_before_the_ball_is_left_out(speckle):
