@@ -77,6 +77,7 @@ class Track:
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s, last measurement
     unseen_frames: int = 0
+    support: float = 0.0  # of the best peak in the last measured frame, `Modes.support`
     exposure_log_likelihood: Array = field(default_factory=EXPOSURE_PRIOR.copy)  # (n,) of each of `EXPOSURES`
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
     measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost

@@ -66,6 +66,8 @@ from spheremouse.wand.state import EXPOSURE_PRIOR, EXPOSURES, Track, WandPose, W
 
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
 _DOUBTFUL_SUPPORT = 0.8  # below, spots are tried besides the prediction
+# since the frame before, the same: clear views differ by less, and a ball that turns fast shows most of a wrong pose
+_MAX_SUPPORT_LOSS = 0.05
 _FRACTION_WITHOUT_PEAKS = 0.1  # fraction of the particles drawn without the peaks
 _SAME_SIDE = 0.3  # rad from a peak: the same discs show, each by the same area to a tenth
 _PREDICTED_POSES = 48  # predicted particles that are tried
@@ -183,6 +185,7 @@ def follow(
         seen=stamp,
         unseen_frames=0,
         measurement_covariance=covariance,
+        support=float(modes.support[0]),
         exposure_log_likelihood=_exposure_log_likelihood(track, pose_velocity.velocity, peak, modes, context.model),
     )
     return after, _measured_pose(average, modes, context, event)
@@ -315,7 +318,7 @@ def _modes_near_prediction(
     if (
         not is_ball(modes, context.tracker.settings)
         or modes.match[0] < CERTAIN_MATCH
-        or modes.support[0] < _DOUBTFUL_SUPPORT
+        or modes.support[0] < max(_DOUBTFUL_SUPPORT, track.support - _MAX_SUPPORT_LOSS)
     ):
         near = _gate(modes_from_spots(context, fields, _REFINED_HYPOTHESES), track, motions, context)
         modes = merge_modes(modes, near, context.ball.radius)
