@@ -129,6 +129,7 @@ class OutlineCheck(NamedTuple):
     measured: float = -np.inf  # s, stamp of the frame in which it was measured last
     first: SeenCentre | None = None  # in the first frame; None after the centre moved before it proved its place
     trust: Array | None = None  # (240,) in the edges of its normals, by the first frame (`outline.SeenBall`)
+    size_sigma: float = np.inf  # relative standard deviation of the rig's radius, as the first frame confirmed it
     away: int = 0  # frames in a row in which the outline was far from its first place
     drift: float = 0.0  # m, farthest from that place before
     watched: float = 0.0  # rad the ball has turned while the outline was measured
@@ -152,7 +153,7 @@ class OutlineCheck(NamedTuple):
 
     def again(self, first: SeenCentre | None) -> "OutlineCheck":
         """Return a new check from the place `first`, at the same pose."""
-        return OutlineCheck(begun=True, first=first, trust=self.trust)
+        return OutlineCheck(begun=True, first=first, trust=self.trust, size_sigma=self.size_sigma)
 
 
 class Tracking(NamedTuple):

@@ -416,16 +416,17 @@ def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
     assert out.error[-1] < 2e-3
 
 
-def played(rig=RIG, pose=POSE, until=5.0, *, seed=0, lift=0.0, noise=1.0, false=False, few=False, sway=0.0):
-    """A ball that turns, lifted by `lift` m from 4 s on, and swaying by `sway` m at 2 Hz; `few` discs show at first.
+def played(rig=RIG, pose=POSE, until=5.0, *, seed=0, lift=0.0, noise=1.0, false=False, few=False, sway=(0.0, 0.0)):
+    """A ball that turns, lifted by `lift` m from 4 s on; `few` discs show at first.
 
-    `rig` and `pose` are what is believed.
+    It sways by `sway` (2,) m at 2 Hz, to the right and towards the camera. `rig` and `pose` are what is believed.
     """
     discs = directions(40, 0)
 
     def seen(t, R, rng):
         p = discs @ R.T
-        at = [sway * np.sin(4.0 * np.pi * t), lift * np.clip((t - 4.0) / 0.2, 0.0, 1.0), 0.0]
+        right, near = np.array(sway) * np.sin(4.0 * np.pi * t)
+        at = [right, lift * np.clip((t - 4.0) / 0.2, 0.0, 1.0), near]
         uv = pixels(p[p[:, 2] > (0.8 if t < 3.0 and few else 0.35)], at)
         uv = uv + (noise - 1.0) * SIGMA * rng.normal(size=uv.shape)
         if false:
@@ -438,16 +439,16 @@ def played(rig=RIG, pose=POSE, until=5.0, *, seed=0, lift=0.0, noise=1.0, false=
     return film(attitude, seconds(until), rig=rig, pose=pose, seen=seen, seed=seed)
 
 
-@pytest.mark.parametrize("moved", [{"lift": -0.01}, {"sway": 0.005}])
+@pytest.mark.parametrize("moved", [{"lift": -0.01}, {"sway": (0.005, 0.0)}, {"sway": (0.0, 0.005)}])
 def test_a_ball_that_moves_in_its_bearings_is_followed(moved):
     """It sinks by 10 mm within 0.2 s, or sways by 5 mm at 2 Hz. A ball in its place would be off by half a degree."""
-    swayed, squares = moved.get("sway", 0.0) * np.sin(4.0 * np.pi * seconds(6.0)[-1]), []
+    (right, near), squares = np.array(moved.get("sway", (0.0, 0.0))) * np.sin(4.0 * np.pi * seconds(6.0)[-1]), []
     for seed in range(3):
         out = played(until=6.0, seed=seed, **moved)
         assert out.is_tracked
         assert OutOfRound() in out.events
         squares.append(out.error[30:] ** 2)
-        assert_allclose(out.states[-1].filter.centre, [swayed, moved.get("lift", 0.0), 0.0], atol=2e-3)
+        assert_allclose(out.states[-1].filter.centre, [right, moved.get("lift", 0.0), near], atol=2e-3)
     assert np.degrees(np.sqrt(np.mean(squares))) < 0.25
 
 

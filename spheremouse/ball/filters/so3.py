@@ -151,9 +151,12 @@ class So3Filter:
         move_centres(joint, noise * WANDER_S * np.eye(3) + np.outer(path, path), len(state.others))
         return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
-    def with_rig_uncertainty(self, state: So3State) -> So3State:
-        """Return the state with a covariance that has the errors of a radius and focal length measured by tape."""
-        return replace(with_rig_uncertainty(state, self.station.covariance_by_tape()), holds_rig=False)
+    def with_rig_uncertainty(self, state: So3State, size_sigma: float) -> So3State:
+        """Return the state with a covariance that has the errors of a radius and focal length measured by tape.
+
+        `size_sigma` is the relative standard deviation of the radius by the ball's outline.
+        """
+        return replace(with_rig_uncertainty(state, self.station.covariance_by_tape(size_sigma)), holds_rig=False)
 
     def with_unseen_turn(self, state: So3State, axis: Array, duration: float) -> So3State:
         """Return the state as uncertain as a turn about `axis`, (3,) obj, makes it that no disc has shown of late.
@@ -191,9 +194,9 @@ class So3Filter:
         dx[6:9] = unseen @ (kept[2] * predicted.acceleration - state.acceleration)
         return inject(state, dx, joint, state.weights, state.manoeuvre_level, state.used, state.nis)
 
-    def is_beyond_a_tape(self, state: So3State) -> bool:
+    def is_beyond_a_tape(self, state: So3State, size_sigma: float) -> bool:
         """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
-        return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape()[1:, 1:]))
+        return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:]))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""

@@ -81,10 +81,11 @@ class Station:
         A, C = self.common_by_pose_and_ball(), self.considered
         return A[:, :6] @ C[:6, 6:] @ np.linalg.pinv(C[6:, 6:], hermitian=True) + A[:, 6:]
 
-    def covariance_by_tape(self) -> Array:
+    def covariance_by_tape(self, size_sigma: float) -> Array:
         """Return the covariance, (4, 4), that a radius and a focal length by tape add to that of the rig.
 
-        With a wrong focal length, pictures place the camera so that the ball has its place and size.
+        With a wrong focal length, pictures place the camera so that the ball has its place and size. `size_sigma` is
+        the relative standard deviation of the radius by the ball's outline.
         """
-        size, focal = self.common_by_size(), np.eye(RIG_DIM)[0]
-        return _TAPE_ERROR**2 * (np.outer(size, size) + np.outer(focal, focal))
+        size, focal = min(size_sigma, _TAPE_ERROR) * self.common_by_size(), _TAPE_ERROR * np.eye(RIG_DIM)[0]
+        return np.outer(size, size) + np.outer(focal, focal)

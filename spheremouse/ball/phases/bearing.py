@@ -23,7 +23,7 @@ from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
-from spheremouse.ball.state import CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
+from spheremouse.ball.state import BufferedFrame, CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
 
 # Filters a frame: the state before it, its stamp, the tracker, and the prediction
 Follow = Callable[[TrackState[So3State], float, Tracker[So3Filter], So3State], TrackState[So3State]]
@@ -51,22 +51,40 @@ def check_learning(
 ) -> tuple[TrackState[So3State], Events]:
     """Check the centre in a frame before the ball has turned; `before` is the state before that frame.
 
-    If it moves, filter the kept frames again.
+    If it is off, filter the kept frames again. While the outline stays, a length in the rig may be wrong. If the centre
+    is then farther off than lengths by tape explain, the ball moves along the line of sight.
     """
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
         return state, ()
     (check, _), outline = _update_evidence(state, interval(before, stamp), tracker), state.outline
-    if check.evidence <= _MAX_MEAN_NIS and not outline.has_moved:
+    moves = outline.has_moved or _is_refuted(check, state, tracker)
+    if check.evidence <= _MAX_MEAN_NIS and not moves:
         return state._replace(centre=check), ()
-    if not outline.is_in_place:
-        state = state._replace(filter=tracker.filter.let_centre_move(state.filter))
+    again = _learnt_again(state, views, tracker, wrong_rig=not moves)
+    if _is_refuted(again.centre, again, tracker):
+        again = _learnt_again(state, views, tracker, wrong_rig=False)
+    return again, () if check.moved else (OutOfRound(),)
+
+
+def _is_refuted(check: CentreCheck, state: TrackState[So3State], tracker: Tracker[So3Filter]) -> bool:
+    """Return whether the centre is farther off than the wrong lengths explain that it was taken for."""
+    return check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter, state.outline.size_sigma)
+
+
+def _learnt_again(
+    state: TrackState[So3State], views: tuple[BufferedFrame, ...], tracker: Tracker[So3Filter], *, wrong_rig: bool
+) -> TrackState[So3State]:
+    """Return the state after filtering the kept frames again, with a wrong rig or a centre that moves, or both."""
+    outline, home = state.outline, tracker.filter.initial(views[0].stamp, views[0].attitude).rig_error
+    if not (wrong_rig and outline.is_in_place):
+        filtered = state.filter if outline.has_moved else replace(state.filter, rig_error=home)
+        state = state._replace(filter=tracker.filter.let_centre_move(filtered))
     state = state._replace(
-        centre=CentreCheck(moved=True, wrong_rig=not outline.has_moved),
+        centre=CentreCheck(moved=True, wrong_rig=wrong_rig),
         outline=outline.again(outline.first if outline.is_in_place else None),
     )
-    state = filtered_again(state, np.zeros((0, 2)), views, tracker)
-    return state, () if check.moved else (OutOfRound(),)
+    return filtered_again(state, np.zeros((0, 2)), views, tracker)
 
 
 def check_bearings(
@@ -88,8 +106,8 @@ def check_bearings(
     dt = interval(before, stamp)
     check, shift = _update_evidence(state, dt, tracker)
     check = _update_odds(check, state, dt, tracker, predicted)
-    refuted = check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter)
-    if check.evidence > _MAX_MEAN_NIS or _has_wrong_rig(check) or refuted or state.outline.has_moved:
+    wrong = _has_wrong_rig(check) or _is_refuted(check, state, tracker)
+    if check.evidence > _MAX_MEAN_NIS or wrong or state.outline.has_moved:
         events = () if check.moved else (OutOfRound(),)
         state, predicted = _filtered_with_shift(before, state._replace(centre=check), stamp, tracker, predicted)
         check = state.centre
@@ -144,7 +162,7 @@ def _filtered_with_shift(
     was_in_place = outline.away > 0  # until now, as the outline shows
     first = outline.first if wrong_rig or not unproven else None
     if wrong_rig or static:
-        predicted = tracker.filter.with_rig_uncertainty(predicted)
+        predicted = tracker.filter.with_rig_uncertainty(predicted, outline.size_sigma)
     if not wrong_rig:
         if unproven:
             drift = min(outline.drift / tracker.rig.ball.radius, MAX_DRIFT) if was_in_place else MAX_DRIFT
@@ -210,7 +228,11 @@ def _update_odds(
     if check.turned >= PROOF_ROTATION or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
-    hypotheses = stage.with_rig_uncertainty(predicted), predicted, stage.let_centre_move(predicted)
+    hypotheses = (
+        stage.with_rig_uncertainty(predicted, state.outline.size_sigma),
+        predicted,
+        stage.let_centre_move(predicted),
+    )
     wrong, right, moves = (stage.correct(each, state.points, pairing)[1] for each in hypotheses)
     return check._replace(
         odds=max(check.odds + min(wrong - right, _MAX_FRAME_LOG_ODDS), 0.0),

@@ -119,7 +119,7 @@ def filtered_again(
         # the views showed this error, so as a prior it would count twice: it is only the point of linearisation
         filtered = replace(filtered, rig_error=start.rig_error)
     if state.centre.wrong_rig:
-        filtered = tracker.filter.with_rig_uncertainty(filtered)
+        filtered = tracker.filter.with_rig_uncertainty(filtered, state.outline.size_sigma)
     for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)

@@ -44,8 +44,11 @@ def with_first_outline(
     if ball is None:
         return state._replace(outline=OutlineCheck(begun=True)), ()
     first = ball.centre if state.filter.centre_noise == 0.0 else None
-    state = state._replace(outline=OutlineCheck(begun=True, seen=ball.centre, first=first, trust=ball.trust))
-    if state.rebuilt is not None or abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma:
+    confirms = abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma
+    size_sigma = max(ball.sigma, abs(ball.size_error)) if confirms else np.inf
+    check = OutlineCheck(begun=True, seen=ball.centre, first=first, trust=ball.trust, size_sigma=size_sigma)
+    state = state._replace(outline=check)
+    if confirms or state.rebuilt is not None:
         return state, ()
     stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
     state = state._replace(filter=stage.with_station(state.filter), rebuilt=replace(tracker, filter=stage))
