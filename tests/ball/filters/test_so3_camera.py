@@ -93,7 +93,7 @@ def test_discs_found_with_a_wrong_rig_have_its_error_in_common():
     state = consider.initial(0.0, np.eye(3))
     for k in range(3):
         state = consider.update(consider.predict(state, k * DT), intersect(seen, rig, pose))
-    P = consider.with_rig_uncertainty(state).joint
+    P = consider.with_rig_uncertainty(state, np.inf).joint
     shift = np.concatenate([[2e-4], 5e-4 * STATION / np.linalg.norm(STATION)])
     error = P[:, RIG] @ np.linalg.pinv(P[RIG, RIG]) @ shift
     given = state.discs + np.einsum("mij,mj->mi", state.basis, error[MAP_OFFSET:-CLONE_DIM].reshape(-1, 2))
