@@ -142,17 +142,18 @@ def _light(grey: float) -> float:
 
 
 def _overexposed_light(rims: _RimSamples, low: float, factor: int) -> float:
-    """Return the light of overexposed areas beside light `low`: the brighter, the narrower the rims between them.
+    """Return the light of overexposed areas, 1 at full scale, beside light `low`, in a picture reduced `factor` times.
 
-    The median area counts, since glare and background beside an area widen its rim.
+    The brighter an area, the narrower is its rim. The median width counts, since glare and background beside an area
+    widen its rim.
     """
-    begins, ends = (low + part * (1.0 - low) for part in _RIM_LEVELS)
-    first, last = (_MAX_GREY * x ** (1.0 / _GAMMA) for x in (begins, ends))
+    begin, end = (low + part * (1.0 - low) for part in _RIM_LEVELS)
+    first, last = (_MAX_GREY * x ** (1.0 / _GAMMA) for x in (begin, end))
     count = [np.count_nonzero((grey >= first) & (grey < last)) for grey in rims.across]
     width = np.median(count / rims.length)
     expected = np.array(
         [
-            _outward((begins - low) / (x - low), factor) - _outward((ends - low) / (x - low), factor)
+            _outward((begin - low) / (x - low), factor) - _outward((end - low) / (x - low), factor)
             for x in _OVEREXPOSED_LIGHTS
         ]
     )

@@ -16,7 +16,8 @@ from spheremouse.wand.settings import ColourSettings, WandSettings
 
 PRIOR_MOTION_PROBABILITY = np.array([0.45, 0.45, 0.1])  # rest, constant velocity, sudden start
 EXPOSURES = np.array([0.0, 0.002, 0.004, 0.008, 0.012, 0.016, 0.024])  # s, of a picture: candidates
-EXPOSURE_PRIOR = -np.arange(7.0)  # log-likelihood of each without evidence: the shortest one that explains the rims
+# log-likelihood of each without evidence: the shortest one that explains the rims
+EXPOSURE_PRIOR = -np.arange(float(len(EXPOSURES)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,6 +78,7 @@ class Both(Discs):
     def detect(
         self, state: TrackState, frame: Frame, tracker: Tracker[So3Filter], predicted: Any
     ) -> tuple[Detections, Any]:
+        """Return the discs of a frame and, once the picture shows the ball alone, the anchors; (n, 2) px."""
         data: BothData = tracker.detector_data
         before = state.search if isinstance(state.search, BothState) else BothState()
         which = tracker.filter.visible(predicted)
@@ -87,7 +88,7 @@ class Both(Discs):
         if state.status is not Status.TRACKING:
             return found, BothState(search, before.texture if state.status is Status.LOST else None)
         of_texture = replace(tracker, detector_data=data.texture)
-        texture = _in_frame_of(state, before.texture)
+        texture = _same_frame_or_none(state, before.texture)
         points, after = detect_texture(state._replace(search=texture), frame, of_texture, predicted)
         if after.turned and state.known_to_turn:
             found = found.joined(points)
@@ -102,7 +103,7 @@ def _is_anchor(directions: Array) -> NDArray[np.bool_]:
     return np.max(directions @ _ANCHORS.T, axis=1, initial=-1.0) > np.cos(_AT_ANCHOR)
 
 
-def _in_frame_of(state: TrackState[So3State], texture: TextureState | None) -> TextureState | None:
+def _same_frame_or_none(state: TrackState[So3State], texture: TextureState | None) -> TextureState | None:
     """Return the picture's state; None if its frame is not that of the filter any more."""
     if texture is None or texture.alignment is None or not state.confirmed:
         return texture

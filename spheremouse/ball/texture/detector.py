@@ -63,17 +63,17 @@ class Texture:
         return _MARK * rig.ball.radius
 
     def shared_errors(self, rig: Rig, pose: Pose) -> Array:
-        """Return the effect of shading on all contours.
+        """Return the covariance, (10, 10) of pose and ball, that shading adds.
 
-        Light that stands still shifts the contours that turn through it, by about the same in each frame. So does an
-        error of the camera's rotation.
+        Light that stands still shifts the contours of the pattern by about the same in each frame, as an error of the
+        camera's rotation does.
         """
         towards = pose.position - rig.ball.centre
         towards = towards / np.linalg.norm(towards)
-        about = np.outer(towards, towards)
-        focal, radius = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
+        along_sight = np.outer(towards, towards)
+        focal, radius_px = max(rig.camera.intrinsic[:2]), 1.0 / texture_pixel(rig, pose)
         covariance = np.zeros((10, 10))
-        covariance[3:6, 3:6] = SHADING_PX**2 * ((np.eye(3) - about) / focal**2 + about / radius**2)
+        covariance[3:6, 3:6] = SHADING_PX**2 * ((np.eye(3) - along_sight) / focal**2 + along_sight / radius_px**2)
         return covariance
 
     def prepare(self, rig: Rig, pose: Pose, settings: Settings, before: object = None) -> TextureDetector:

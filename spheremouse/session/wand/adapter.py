@@ -138,6 +138,7 @@ class WandAdapter(TrackerAdapter):
         tracker = self._make(plan) if "tracker" in changed else self.tracker
 
         def apply() -> TrackerAdapter:
+            """Use the plan from the next frame on; the balls stay tracked."""
             old_index = self.pointing_index
             self._set_tracker(plan, tracker)
             if "motion" in changed or self.pointing_index != old_index:
