@@ -58,24 +58,27 @@ def check_learning(
     if not views or views[-1].camera != state.camera:
         return state, ()
     (check, _), outline = _update_evidence(state, interval(before, stamp), tracker), state.outline
-    moves = outline.has_moved or _is_refuted(check, state, tracker)
+    moves = outline.has_moved or _is_refuted(state, tracker)
     if check.evidence <= _MAX_MEAN_NIS and not moves:
         return state._replace(centre=check), ()
     again = _learnt_again(state, views, tracker, wrong_rig=not moves)
-    if _is_refuted(again.centre, again, tracker):
+    if _is_refuted(again, tracker):
         again = _learnt_again(state, views, tracker, wrong_rig=False)
     return again, () if check.moved else (OutOfRound(),)
 
 
-def _is_refuted(check: CentreCheck, state: TrackState[So3State], tracker: Tracker[So3Filter]) -> bool:
-    """Return whether the centre is farther off than the wrong lengths explain that it was taken for."""
-    return check.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter, state.outline.size_sigma)
+def _is_refuted(state: TrackState[So3State], tracker: Tracker[So3Filter]) -> bool:
+    """Return whether wrong lengths, by which the centre was thought to be off, do not explain how far it is off."""
+    return state.centre.wrong_rig and tracker.filter.is_beyond_a_tape(state.filter, state.outline.size_sigma)
 
 
 def _learnt_again(
     state: TrackState[So3State], views: tuple[BufferedFrame, ...], tracker: Tracker[So3Filter], *, wrong_rig: bool
 ) -> TrackState[So3State]:
-    """Return the state after filtering the kept frames again, with a wrong rig or a centre that moves, or both."""
+    """Return the state after filtering the kept frames again, with a wrong rig or a centre that moves, or both.
+
+    A centre that moves along the line of sight begins at home: the estimate of a wrong rig is not its place.
+    """
     outline, home = state.outline, tracker.filter.initial(views[0].stamp, views[0].attitude).rig_error
     if not (wrong_rig and outline.is_in_place):
         filtered = state.filter if outline.has_moved else replace(state.filter, rig_error=home)
@@ -106,7 +109,7 @@ def check_bearings(
     dt = interval(before, stamp)
     check, shift = _update_evidence(state, dt, tracker)
     check = _update_odds(check, state, dt, tracker, predicted)
-    wrong = _has_wrong_rig(check) or _is_refuted(check, state, tracker)
+    wrong = _has_wrong_rig(check) or _is_refuted(state, tracker)
     if check.evidence > _MAX_MEAN_NIS or wrong or state.outline.has_moved:
         events = () if check.moved else (OutOfRound(),)
         state, predicted = _filtered_with_shift(before, state._replace(centre=check), stamp, tracker, predicted)
