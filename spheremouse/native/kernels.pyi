@@ -244,12 +244,13 @@ def shift_of(
 
 SLOPE: int  # samples on each side of an edge
 
-def outline_slopes(image: _Byte, starts: _Float, steps: _Float, samples: int) -> tuple[_Float, _Index, float]:
-    """Return for n lines in an image (h, w, c) the highest peak of the slopes and its sample, and all slopes' median.
+def outline_slopes(image: _Byte, starts: _Float, steps: _Float, samples: int) -> tuple[_Float, _Float, float]:
+    """Return for n lines in an image (h, w, c) the highest peak of the slopes and its place, and all slopes' median.
 
     A slope, in grey values, is the difference of the means of 8 samples before a sample and of 8 from it on, of the
     colour that differs most. A line begins at `starts`, (n, 2) px, and has `samples` with `steps`, (n, 2) px. Slopes
-    within 14 samples of a black one do not count. A line without a peak has 0 and sample 0.
+    within 14 samples of a black one do not count. A place is in samples, between them by a parabola. A line without a
+    peak has 0 and place 0.
     """
 
 # spheremouse/ball/detect/appearance.cpp

@@ -195,7 +195,10 @@ class So3Filter:
         return inject(state, dx, joint, state.weights, state.manoeuvre_level, state.used, state.nis)
 
     def is_beyond_a_tape(self, state: So3State, size_sigma: float) -> bool:
-        """Return whether the centre is farther off than by three standard deviations of lengths by tape."""
+        """Return whether the centre is farther off than by three standard deviations of lengths by tape.
+
+        `size_sigma` is as in `with_rig_uncertainty`.
+        """
         return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:]))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:

@@ -313,7 +313,7 @@ def shows_all_axes(alignment: Alignment) -> bool:
 
 
 def tilt_sigma(alignment: Alignment, unseen: float) -> float:
-    """Return the standard deviation, rad, of the alignment about its known axes by an error of what these axes are.
+    """Return the standard deviation, rad, of the alignment about its known axes, due to errors of their directions.
 
     `unseen` is the variance, rad², of the rotation about the other axes.
     """
