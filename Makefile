@@ -19,7 +19,7 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_nothing_leaves_the_other_subjects \
     tests/commands/test_run.py::test_the_demo_writes_its_files_and_its_counts_are_the_true_ones
 # Optional parts that a cabinet may have.
-CABINET := metrics network
+CABINET := metrics
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=

@@ -30,7 +30,7 @@ usage: install.sh [options]
   --from WHAT           another checkout or wheel
   --wheelhouse DIR      without network: all wheels are in DIR
   --build-wheelhouse DIR  fill DIR with all wheels and this script, for machines without network of the same kind
-  --extras A,B          optional parts: metrics (for Prometheus), network (outputs osc and ws)
+  --extras A,B          optional parts: metrics (for Prometheus)
   --rollback            switch back to the version before
   --uninstall           stop and remove the service and all versions; --purge: configuration and calibration, too
   --prefix DIR          where versions go, in place of /opt/spheremouse

@@ -13,7 +13,6 @@ from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding
 from spheremouse.output import Counts, Report
-from spheremouse.output.extras import import_extra
 from spheremouse.output.network import DatagramOutput, parse_host, probe_receiver
 from spheremouse.output.response import KEYS
 from spheremouse.output.sample import Sample, to_quaternion
@@ -63,16 +62,15 @@ def _layout(ball: int, status: str, vectors: int) -> tuple[struct.Struct, list[b
 
     Those before the first have the message of the status, too.
     """
-    from pythonosc.parsing.osc_types import write_int, write_string
 
-    def text(*strings: str) -> bytes:
-        return b"".join(map(write_string, strings))
+    def text(*strings: str) -> bytes:  # each ends with a zero, and zeros up to a multiple of 4 bytes
+        return b"".join(s.encode() + bytes(4 - len(s) % 4) for s in strings)
 
     form, heads, message = ">8sQ", list[bytes](), text(f"/spheremouse/{ball}/status", ",s", status)
-    before = write_int(len(message)) + message
+    before = len(message).to_bytes(4) + message
     for name, types in list(_NUMBERS.items())[:vectors]:
         head = text(f"/spheremouse/{ball}/{name}", f",{types}")
-        heads.append(before + write_int(len(head) + 4 * len(types)) + head)
+        heads.append(before + (len(head) + 4 * len(types)).to_bytes(4) + head)
         form, before = f"{form}{len(heads[-1])}s{types}", b""
     return struct.Struct(form), heads
 
@@ -83,12 +81,10 @@ def open(argument: str) -> DatagramOutput:
 
 
 def check(argument: str) -> tuple[str, int]:
-    """Return host and port. Raise OutputError if the argument is invalid or python-osc is missing."""
+    """Return host and port. Raise OutputError if the argument is invalid."""
     address, _, rest = argument.partition(",")
     options(rest, dict(KEYS), f"osc:{argument}", OutputError)
-    host, port = parse_host("osc", address)
-    import_extra("osc", "python-osc", "network", "pythonosc")
-    return host, port
+    return parse_host("osc", address)
 
 
 def probe(argument: str) -> list[Finding]:

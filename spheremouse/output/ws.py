@@ -8,16 +8,16 @@ that is no browser names no origin, and may connect. A client that does not read
 
 import re
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from websockets.http11 import Request
+from websockets.protocol import State
+from websockets.server import ServerProtocol
 
 from spheremouse.finding import Finding
-from spheremouse.output.extras import import_extra
 from spheremouse.output.line_server import Client, LineServer
 from spheremouse.output.lines import LineFormat, parse_target
 from spheremouse.output.network import parse_host, probe_port
-
-if TYPE_CHECKING:
-    from websockets.server import ServerProtocol
 
 _LOCAL_PAGE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _GOING_AWAY = 1001
@@ -29,13 +29,10 @@ class _Client(Client):
 
     ready = False
 
-    def __init__(self, protocol: "ServerProtocol") -> None:
+    def __init__(self, protocol: ServerProtocol) -> None:
         self._protocol = protocol
 
     def receive(self, data: bytes) -> tuple[bytes, bool]:
-        from websockets.http11 import Request
-        from websockets.protocol import State
-
         self._protocol.receive_data(data) if data else self._protocol.receive_eof()
         for event in self._protocol.events_received():
             if isinstance(event, Request):
@@ -56,8 +53,6 @@ class WebSocket(LineServer):
 
     def __init__(self, name: str, host: str, port: int, form: LineFormat, origin: str) -> None:
         """`origin` is admitted besides local pages; `*` admits all."""
-        from websockets.server import ServerProtocol
-
         origins: list[Any] | None = None if origin == "*" else [None, _LOCAL_PAGE, origin or None]
         connect = partial(ServerProtocol, origins=origins, max_size=4096)
         super().__init__(name, host, port, form, lambda: _Client(connect()))
@@ -75,14 +70,9 @@ def open(argument: str) -> WebSocket:
 
 
 def check(argument: str) -> tuple[str, int, LineFormat, str]:
-    """Return host, port, format and origin, which is empty if not given.
-
-    Raise OutputError if one is invalid or websockets is missing.
-    """
+    """Return host, port, format and origin, which is empty if not given. Raise OutputError if one is invalid."""
     address, form, options = parse_target("ws", argument, {"origin": str})
-    host, port = parse_host("ws", address)
-    import_extra("ws", "websockets", "network")
-    return host, port, form, str(options.get("origin", ""))
+    return *parse_host("ws", address), form, str(options.get("origin", ""))
 
 
 def probe(argument: str) -> list[Finding]:

@@ -10,6 +10,8 @@ from itertools import count, pairwise
 
 import pytest
 from reporting import PATIENCE, free_port, refused, report, until
+from websockets import exceptions, frames
+from websockets.sync.client import connect
 
 from spheremouse.output import open_output, probe
 from spheremouse.output.line_server import LineServer
@@ -189,10 +191,6 @@ def test_where_it_sends_is_known_beforehand():
     assert "unknown host" in probe("udp:nowhere.invalid:9")[0].text
 
 
-connect = pytest.importorskip("websockets.sync.client").connect
-exceptions = pytest.importorskip("websockets.exceptions")
-
-
 def first_message(output, client):
     """Send reports until a client has a message, and return that."""
 
@@ -240,7 +238,6 @@ def test_the_header_of_a_format_is_the_first_message_and_pings_are_answered(port
 
 @pytest.mark.parametrize("length", [0, 125, 126, 65_535, 65_536])
 def test_a_message_of_any_length_is_the_frame_of_the_library(length, port):
-    frames = pytest.importorskip("websockets.frames")
     text = length * b"a"
     with open_output(f"ws:{port}") as output:
         assert output.encode(text + b"\n") == frames.Frame(frames.Opcode.TEXT, text).serialize(mask=False)
