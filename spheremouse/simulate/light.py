@@ -8,12 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.shapes import Colour
 
 _SKY = np.array([0.50, 0.47, 0.45])  # blue, green, red: light from above
 _FLOOR = np.array([0.20, 0.24, 0.28])  # and light reflected by the floor
+
+# Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
+_NORMAL = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,10 +136,15 @@ def develop(light: Array) -> Array:
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
-def quantise(grey: NDArray[np.float32], noise: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Return grey values in bytes, with normal noise of the standard deviation `noise` in every channel."""
-    noisy = grey if noise == 0.0 else grey + np.float32(noise) * rng.standard_normal(grey.shape, dtype=np.float32)
-    return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
+def expose(
+    grey: NDArray[np.float32], noise: float, rng: np.random.Generator, brightness: float = 0.0
+) -> NDArray[np.uint8]:
+    """Return grey values, any shape, in bytes, with `brightness` and normal noise of the deviation `noise` added."""
+    if noise > 0.0:
+        raw = rng.integers(0, 65536, grey.shape, dtype=np.uint16)
+        grey = grey + np.float32(noise) * np.take(_NORMAL, raw, mode="clip")
+    grey = grey + np.float32(brightness)
+    return np.clip(np.rint(grey, out=grey), 0.0, 255.0, out=grey).astype(np.uint8)
 
 
 def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:

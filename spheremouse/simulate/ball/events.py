@@ -9,7 +9,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.layers import Layer, drawn_hand, hand_layer
-from spheremouse.simulate.light import quantise, smoothstep
+from spheremouse.simulate.light import expose, smoothstep
 from spheremouse.simulate.shapes import circle
 from spheremouse.tracker import Frame
 
@@ -153,8 +153,5 @@ _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 def degrade(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
     """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
     for frame in frames:
-        if noise == 0.0 and brightness == 0.0:
-            yield frame
-            continue
         rng = np.random.default_rng([_SEED, frame.sequence])
-        yield replace(frame, image=quantise(frame.image + np.float32(brightness), noise, rng))
+        yield replace(frame, image=expose(np.float32(frame.image), noise, rng, brightness))

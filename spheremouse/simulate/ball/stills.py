@@ -20,11 +20,11 @@ from spheremouse.files.dataset.write import device_description
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball import board
-from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.options import StillsOptions
+from spheremouse.simulate.ball.profile import still
+from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import LAMPS, STRIPS, Scene, default_scene, frame, room
-from spheremouse.simulate.ball.surface import Surface
-from spheremouse.simulate.light import Lighting, quantise
+from spheremouse.simulate.light import Lighting, expose
 from spheremouse.simulate.shapes import circle, unit
 
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
@@ -260,16 +260,12 @@ def photos(stills: Stills) -> Iterator[Photo]:
     for name, render, pose in places:
         sharp = render(replace(stills.scene, pose=pose))
         blurred = np.asarray(cv2.GaussianBlur(sharp, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
-        yield Photo(name, quantise(blurred, stills.noise, rng))
+        yield Photo(name, expose(blurred, stills.noise, rng))
 
 
 def device_picture(scene: Scene) -> NDArray[np.float32]:
     """The scene with the ball at rest, (h, w, 3) grey values, before lens blur and noise."""
-    backdrop = render_backdrop(scene)
-    covered = Surface(scene).coverage(lambda times: np.broadcast_to(np.eye(3), (len(times), 3, 3)), 0.0)
-    share = np.bincount(covered.pixel, covered.share, backdrop.ball.size).reshape(backdrop.ball.shape)
-    dark = np.minimum(share, 1.0).astype(np.float32)[..., None]
-    return np.asarray(backdrop.white + dark * (backdrop.black - backdrop.white), dtype=np.float32)
+    return Renderer(scene).picture(still(), 0.0, np.zeros(3))[0]
 
 
 def truth_of(stills: Stills) -> dict[str, Any]:

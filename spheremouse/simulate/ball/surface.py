@@ -124,6 +124,16 @@ class Surface:
             (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
         )
 
+    def albedo(self, points: Points, attitude_at: AttitudeAt, t: float) -> Array:
+        """Return the pattern's mean albedo in each pixel of an image at time `t` (of the middle row), 1 beside them."""
+        assert self.scene.pattern is not None
+        R = attitude_at(self.row_times(t)).astype(np.float32)
+        turned = points.normal @ (R[points.pixel // self.scene.camera.width] if len(R) > 1 else R)
+        albedo = self.scene.pattern.albedo(turned.reshape(-1, 3)).reshape(points.weight.shape)
+        mean = np.ones(self.scene.camera.width * self.scene.camera.height)
+        mean[points.pixel] = np.einsum("km,km->k", albedo, points.weight)
+        return mean
+
     # ---- discs ----
 
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
