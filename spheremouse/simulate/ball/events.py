@@ -154,4 +154,4 @@ def degrade(frames: Iterator[Frame], noise: float, brightness: float) -> Iterato
     """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
     for frame in frames:
         rng = np.random.default_rng([_SEED, frame.sequence])
-        yield replace(frame, image=expose(np.float32(frame.image), noise, rng, brightness))
+        yield replace(frame, image=expose(frame.image.astype(np.float32), noise, rng, brightness))
