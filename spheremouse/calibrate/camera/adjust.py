@@ -249,8 +249,8 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
     prior = observed.T @ observed
     widening = contradiction(N, g, prior)
     covariance = np.zeros((SHARED + 6 * len(index),) * 2)
-    is_open = np.concatenate([bundle.free, np.ones(6 * len(index), bool)])
-    covariance[np.ix_(is_open, is_open)] = widening * _estimated_weights(N, prior, part.counts) * factor * Q
+    estimated = bundle.estimated(len(y))
+    covariance[np.ix_(estimated, estimated)] = widening * _estimated_weights(N, prior, part.counts) * factor * Q
     of_shape = covariance[INTERIOR:SHARED, INTERIOR:SHARED].copy()
     covariance = np.delete(np.delete(covariance, np.s_[INTERIOR:SHARED], axis=0), np.s_[INTERIOR:SHARED], axis=1)
     _into_cam(covariance, y)

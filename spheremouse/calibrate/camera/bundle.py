@@ -4,8 +4,7 @@ No print is exact and no plate is flat, so the board's shape is unknown, too: a 
 (Strobl, Hirzinger 2011), and a second-order bow (the deformation of mrcal, Kogan 2021).
 """
 
-import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -13,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
-from spheremouse.geometry.least_squares.adjust import Jacobian, Move, Normal, huber, huber_cost, levenberg_marquardt
+from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 from spheremouse.geometry.statistics import mad_sigma
 
@@ -119,15 +117,14 @@ def resect_views(
     `shape` (4,) is that of the board on its `plate`; None: as printed. A view that does not converge keeps its start.
     """
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(SHARED, bool), plate)
-    shape = np.zeros(SHAPE) if shape is None else shape
-    x = np.concatenate([interior_vector(camera), shape, poses_of(views, camera).ravel()])
-    for v, view in enumerate(views):  # one by one: they share no unknown
-        own = np.arange(len(views)) == v
-        columns = unknowns_of(own)
-        with contextlib.suppress(CalibrationError):  # large residuals show it
-            x[columns] = Bundle([view], bundle.size, bundle.free, bundle.plate).solve(x[columns], np.ones(1))
-    r, t = split_poses(x)
-    return exp(r), t, bundle.residuals(x)
+    shape, poses = np.zeros(SHAPE) if shape is None else shape, poses_of(views, camera)
+    for view, start in zip(views, poses, strict=True):
+        points = view.points + bundle.plate.by_shape(view.points) @ shape
+        pose = cv2.solvePnPRefineLM(points, view.uv, camera.matrix, camera.distortion, *start.copy())
+        if np.all(np.isfinite(pose)):  # else large residuals show it
+            start[:] = np.reshape(pose, (2, 3))
+    x = np.concatenate([interior_vector(camera), shape, poses.ravel()])
+    return exp(poses[:, 0]), poses[:, 1], bundle.residuals(x)
 
 
 def rms_of(residual: Array) -> float:
@@ -184,39 +181,25 @@ class Bundle:
         J[:, :, SHARED + 3 :] = duv
         return uv - self.uv, J
 
-    def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
+    def solve(self, x: Array, sigma: Array, knee: float = np.inf) -> Array:
         """Return the unknowns (13 + 6v,) at the minimum of squares, from the start x; fixed ones keep their value.
 
-        `sigma` (v,) px is that of a coordinate in each view. With a knee `robust`, in sigmas, Huber's function replaces
-        the square. Each view's six are eliminated. Raises CalibrationError if it does not converge.
+        `sigma` (v,) px is that of a coordinate in each view. With a finite `knee`, in sigmas, Huber's function replaces
+        the square. Raises CalibrationError if it does not converge.
         """
-        weight = 1.0 / sigma[self.of]
+        estimated = self.estimated(len(x))
 
-        def linear(x: Array) -> tuple[float, Callable[[], Normal]]:
-            residual, J = self.linear(x)
-            residual = residual * weight[:, None]
-            shape = self._weight * x[INTERIOR:SHARED]
+        def moved(x: Array, step: Array) -> Array:
+            y = x.copy()
+            y[estimated] += step
+            return y
 
-            def normal() -> Normal:
-                w = huber(residual, robust)
-                found = self._normal(residual * w, J * (weight[:, None] * w)[:, :, None])
-                found.shared[INTERIOR:, INTERIOR:] += np.diag(self._weight**2)
-                found.right[INTERIOR:] -= self._weight * shape
-                return found
+        hint = "is a photo of another zoom or board among them?"
+        return adjust(lambda x: self.jacobian(x, sigma), x, moved, hint, knee)
 
-            return huber_cost(residual, robust) + float(shape @ shape), normal
-
-        def moved(x: Array, move: Move) -> Array:
-            return x + np.concatenate([move.shared * self.free, move.own.ravel()])
-
-        return levenberg_marquardt(x, linear, moved, "is a photo of another zoom or board among them?")
-
-    def _normal(self, residual: Array, J: Array) -> Normal:
-        starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
-        N = np.add.reduceat(np.einsum("nki,nkj->nij", J, J), starts)
-        down = -np.add.reduceat(np.einsum("nki,nk->ni", J, residual), starts)
-        k = SHARED
-        return Normal(N[:, :k, :k].sum(axis=0), down[:, :k].sum(axis=0), N[:, k:, k:], N[:, k:, :k], down[:, k:])
+    def estimated(self, unknowns: int) -> NDArray[np.intp]:
+        """Return the indices of those of the unknowns that are estimated, (e,)."""
+        return np.flatnonzero(np.append(self.free, np.ones(unknowns - SHARED, bool)))
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
         """Return the residuals and the Jacobian.
@@ -231,8 +214,7 @@ class Bundle:
         data = (J * weight[:, None, None]).ravel(), np.repeat(where, 2, axis=0).ravel()
         views = sparse.csr_array((*data, np.arange(2 * n + 1) * (SHARED + 6)), shape=(2 * n, len(x)))
         observed = sparse.csr_array((self._weight, (np.arange(SHAPE), np.arange(INTERIOR, SHARED))), (SHAPE, len(x)))
-        is_open = np.concatenate([self.free, np.ones(len(x) - SHARED, bool)])
-        every = sparse.csr_array(sparse.vstack([views, observed]).tocsc()[:, np.flatnonzero(is_open)])
+        every = sparse.csr_array(sparse.vstack([views, observed]).tocsc()[:, self.estimated(len(x))])
         return np.concatenate([(residual * weight[:, None]).ravel(), self._weight * x[INTERIOR:SHARED]]), every
 
     def residuals(self, x: Array) -> tuple[Array, ...]:

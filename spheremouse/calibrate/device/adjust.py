@@ -162,7 +162,7 @@ def adjust_bundle(
     is_disc = image.point >= n
     points = np.concatenate([block.points[:n], discs.position])
     refused, left_out, without_discs = (np.zeros(len(image), dtype=bool) for _ in range(3))
-    factors, robust, given = np.ones(2), _HUBER_KNEE, None
+    factors, knee, given = np.ones(2), _HUBER_KNEE, None
     for _ in range(40):
         used = ~refused & ~left_out & ~(without_discs & is_disc)
         used &= _fixed(image, used, block, points, n, device.disc_radius)[image.point]
@@ -178,11 +178,11 @@ def adjust_bundle(
         weighted = ImagePoints(image.photo[used], index, image.centre[used], factor * image.covariance[used])
         problem = Problem(device, camera, weighted, not device.distances)
         try:
-            solution = solve_block(problem, replace(block, points=points[kept]), robust)
+            solution = solve_block(problem, replace(block, points=points[kept]), knee)
         except np.linalg.LinAlgError as e:
             left_out |= image.point == _undetermined_disc(e, problem, kept)
             continue
-        block, points[kept], robust = solution.block, solution.block.points, None
+        block, points[kept], knee = solution.block, solution.block.points, np.inf
         residual, cofactor = image_residuals(solution, len(weighted))
         number = np.diagonal(cofactor, axis1=1, axis2=2)
         groups = [~is_disc[used], is_disc[used]]
@@ -290,7 +290,7 @@ def check_distances(result: BundleResult, device: Device) -> None:
     Raises CalibrationError if the photos do not even fit each other. Distances without redundancy are not checked.
     """
     first = 2 * len(result.problem.image)
-    residual = result.solution.adjusted.residual[first : first + len(device.distances)]  # standard deviations
+    residual = result.solution.residual[first : first + len(device.distances)]  # standard deviations
     redundancies = distance_redundancy(result.problem, result.solution)
     checked = redundancies > 1e-3
     if not np.any(checked):
@@ -315,7 +315,7 @@ def distance_redundancy(problem: Problem, solution: Solution) -> Array:
     if k == 0:
         return np.zeros(0)
     free = solution.columns.free
-    rows = sparse.csr_array(solution.adjusted.jacobian[at : at + k])
+    rows = sparse.csr_array(solution.jacobian[at : at + k])
     return redundancy(rows, solution.covariance[np.ix_(free, free)])[:, 0, 0]
 
 
@@ -323,8 +323,8 @@ def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
     """Return the normalised residuals of n image points, (n, 2), and their cofactors, (n, 2, 2)."""
     free = solution.columns.free
     Q = solution.covariance[np.ix_(free, free)]
-    rows = sparse.csr_array(solution.adjusted.jacobian[: 2 * n])
-    return solution.adjusted.residual[: 2 * n].reshape(n, 2), redundancy(rows, Q, 2)
+    rows = sparse.csr_array(solution.jacobian[: 2 * n])
+    return solution.residual[: 2 * n].reshape(n, 2), redundancy(rows, Q, 2)
 
 
 def image_rms(problem: Problem, solution: Solution) -> float:

@@ -178,7 +178,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
     if freedom > 0.5:
         sigma = np.array([d.sigma for d in c.device.distances])
         at = 2 * len(c.problem.image)
-        ratio = float(np.sum(c.solution.adjusted.residual[at : at + len(sigma)] ** 2)) / freedom
+        ratio = float(np.sum(c.solution.residual[at : at + len(sigma)] ** 2)) / freedom
         if ratio > gate(1.0 - FALSE_ALARM, freedom) / freedom:
             text = (
                 f"The distances contradict each other {np.sqrt(ratio):.1f} times as much as their sigma allows: "

@@ -23,8 +23,8 @@ from spheremouse.geometry.camera import (
     project_rings,
     with_interior,
 )
-from spheremouse.geometry.least_squares.adjust import Adjusted, Jacobian, adjust, cofactors
-from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
+from spheremouse.geometry.least_squares.adjust import Jacobian, adjust, cofactors
+from spheremouse.geometry.rotation import Array, exp, hat
 
 INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 
@@ -100,7 +100,10 @@ class Solution:
     block: Block
     columns: Columns
     covariance: Array  # (all, all) of all columns at unit variance factor; 0 where they are held
-    adjusted: Adjusted  # residuals: two for each image point, one for each distance, those of the interior orientation
+    residual: (
+        Array  # (r,) of unit variance: two of each image point, one of each distance, and the interior orientation
+    )
+    jacobian: Jacobian  # (r, f) of the residuals by the free unknowns
 
 
 def columns_of(problem: Problem, photos: int, points: int) -> Columns:
@@ -116,28 +119,23 @@ def columns_of(problem: Problem, photos: int, points: int) -> Columns:
     return replace(everything, free=np.setdiff1d(np.arange(everything.all), held))
 
 
-def solve_block(problem: Problem, block: Block, robust: float | None = None) -> Solution:
+def solve_block(problem: Problem, block: Block, knee: float = np.inf) -> Solution:
     """Adjust a block from an approximation; LinAlgError if an unknown is not determined.
 
-    `robust` is the knee of Huber's function in standard deviations; None: least squares.
+    `knee` is that of Huber's function in standard deviations; infinite: least squares.
     """
     columns = columns_of(problem, len(block.poses), len(block.points))
-    adjusted = None
-    for _ in range(2):  # the second time from the solution: rotations are zero there, and slopes exact
-        slopes = eccentricity_slopes(problem, block)
-        adjusted = adjust(
-            lambda x, start=block, slopes=slopes: evaluate(problem, apply_step(start, columns, x), columns, x, slopes),
-            np.zeros(len(columns.free)),
-            robust,
-        )
-        block = apply_step(block, columns, adjusted.x)
-    assert adjusted is not None
-    slopes = eccentricity_slopes(problem, block)
-    residual, jacobian = evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)
-    adjusted = replace(adjusted, x=np.zeros(len(columns.free)), residual=residual, jacobian=jacobian)
+    block = adjust(
+        lambda block: evaluate(problem, block, columns),
+        block,
+        lambda block, step: apply_step(block, columns, step),
+        "some observation belongs to something else",
+        knee,
+    )
+    residual, jacobian = evaluate(problem, block, columns)
     covariance = np.zeros((columns.all, columns.all))
     covariance[np.ix_(columns.free, columns.free)] = cofactors(jacobian)
-    return Solution(block, columns, covariance, adjusted)
+    return Solution(block, columns, covariance, residual, jacobian)
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
@@ -164,11 +162,10 @@ def _points_in_frames(block: Block, image: ImagePoints) -> tuple[Array, Array, A
     return R, way, np.einsum("nji,nj->ni", R, way)
 
 
-def eccentricity_slopes(problem: Problem, block: Block) -> Array:
+def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
     """Return the derivative of (centroid - projected centre) by place and normal in cam, (n, 2, 6), by differences.
 
-    It is a percent of the Jacobian, and changes little in an adjustment. Without it, convergence is slow along the
-    least determined unknowns.
+    It is a percent of the Jacobian. Without it, convergence is slow along the least determined unknowns.
     """
     slopes = np.zeros((len(problem.image), 2, 6))
     ring = problem.image.point < problem.targets
@@ -203,15 +200,9 @@ def apply_step(block: Block, columns: Columns, x: Array) -> Block:
     return Block(camera, poses, block.points + full[INTERIOR + 6 * columns.photos :].reshape(-1, 3))
 
 
-def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes: Array) -> tuple[Array, Jacobian]:
-    """Return normalised residuals, (r,), predicted minus measured, and their Jacobian by the free unknowns, (r, f).
-
-    `x` (f,) is the step that led from the start to the block. `slopes` (n, 2, 6) are those of `eccentricity_slopes`.
-    """
-    full = np.zeros(columns.all)
-    full[columns.free] = x
-    turned = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)[:, 3:]
-    image = problem.image
+def evaluate(problem: Problem, block: Block, columns: Columns) -> tuple[Array, Jacobian]:
+    """Return normalised residuals, (r,), predicted minus measured, and their Jacobian by the free unknowns, (r, f)."""
+    image, slopes = problem.image, _eccentricity_slopes(problem, block)
     uv, by_cam, by_interior, cam = predicted(block, image, problem)
     uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: a large residual rejects the step
     by_cam = np.where(np.isfinite(by_cam), by_cam, 0.0)
@@ -220,7 +211,6 @@ def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes:
     by_point = (by_cam + slopes[:, :, :3]) @ R.transpose(0, 2, 1)
     by_turn = by_point @ hat(way)
     by_turn += slopes[:, :, 3:] @ R.transpose(0, 2, 1) @ hat(np.array([0.0, 0.0, 1.0]))  # the normal, seen from cam
-    by_turn = by_turn @ left_jacobian(turned)[image.photo]
     L = np.linalg.inv(np.linalg.cholesky(image.covariance))
     blocks = np.concatenate([by_interior, -by_point, by_turn, by_point], axis=2)
     interior = np.broadcast_to(np.arange(INTERIOR), (len(image), INTERIOR))
@@ -230,8 +220,7 @@ def evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes:
     if problem.depth is not None:
         z, sigma = problem.depth.T
         axis = R[:, :, 2]
-        turn = np.cross(axis, way)[:, None] @ left_jacobian(turned)[image.photo]
-        towards = np.concatenate([-axis, turn[:, 0], axis], axis=1)
+        towards = np.concatenate([-axis, np.cross(axis, way), axis], axis=1)
         J = _rows((towards / sigma[:, None])[:, None], where[:, INTERIOR:], columns)
         parts.append(((cam[:, 2] - z) / sigma, J))
     if np.any(problem.camera.covariance):

@@ -211,7 +211,7 @@ def _adjust(views: TargetViews, device: Device, camera: InteriorOrientation) -> 
     # the size of the rings gives a scale to begin with
     problem = Problem(replace(device, distances=()), sure, rough, scale_free=False, depth=views.depth)
     try:
-        block = solve_block(problem, block, robust=2.0).block
+        block = solve_block(problem, block, knee=2.0).block
     except np.linalg.LinAlgError:
         raise CalibrationError("the photos do not fix the targets: take them from places further apart") from None
     return _in_axes(block, device)

@@ -59,7 +59,7 @@ def adjust_rolling(
         if not robust and fits.all():
             break
         at, used = _without_weak(at, used.take(fits))
-        at, eliminated = minimise(at, used, camera, readout, knee=None)
+        at, eliminated = minimise(at, used, camera, readout, knee=np.inf)
         robust = False
     return _result(at, used, len(sightings) - len(used), eliminated, camera)
 

@@ -1,6 +1,5 @@
 """Adjustment of a rolling ball: observations, unknowns, residuals, normal equations, and their minimum."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
-from spheremouse.geometry.least_squares.adjust import Normal, huber, huber_cost, levenberg_marquardt
+from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
 RATES = 0.005  # relative error of rates from differences of attitudes, when a hand pushes
@@ -68,10 +67,13 @@ class RollingAdjustment:
 
 @dataclass(frozen=True, slots=True)
 class Equations:
-    """Residuals and Jacobians of unit variance; shared unknowns: direction 2, log ratio, readout, discs 2 each."""
+    """Residuals and Jacobians of unit variance.
+
+    The unknowns are direction 2, log ratio, readout, discs 2 each, which all frames share, and each frame's attitude 3.
+    """
 
     residual: Array  # (n, 2)
-    shared: sparse.csr_array  # (2n, 4 + 2m)
+    jacobian: Jacobian  # (2n, 4 + 2m + 3f)
     turn: Array  # (n, 2, 3) by the frame's attitude, left error in cam
     camera: Array  # (n, 2, 9) by the interior orientation
 
@@ -100,14 +102,20 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
         ],
         axis=2,
     )
-    rows = np.arange(2 * n).reshape(n, 2, 1)
-    columns = np.broadcast_to(GLOBAL + 2 * s.disc[:, None, None] + np.arange(2), (n, 2, 2))
-    places = np.concatenate([np.broadcast_to(np.arange(GLOBAL), (n, 2, GLOBAL)), columns], axis=2)
-    values = np.concatenate([by_global, by_disc], axis=2)
-    shared = sparse.csr_array(
-        (values.ravel(), (np.broadcast_to(rows, places.shape).ravel(), places.ravel())), shape=(2 * n, GLOBAL + 2 * m)
+    shared = GLOBAL + 2 * m
+    columns = np.hstack(
+        [
+            np.broadcast_to(np.arange(GLOBAL), (n, GLOBAL)),
+            GLOBAL + 2 * s.disc[:, None] + np.arange(2),
+            shared + 3 * s.frame[:, None] + np.arange(3),
+        ]
     )
-    return Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
+    values = np.concatenate([by_global, by_disc, by_turn], axis=2)
+    rows = np.arange(2 * n + 1) * columns.shape[1]
+    jacobian = sparse.csr_array(
+        (values.ravel(), np.repeat(columns, 2, axis=0).ravel(), rows), shape=(2 * n, shared + 3 * len(at.attitude))
+    )
+    return Equations(residual, jacobian, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
 
 
 def angular_rates(at: Rolling) -> Array:
@@ -139,20 +147,22 @@ def whitening(covariance: Array) -> Array:
 
 
 class Eliminated:
-    """Cofactors of the shared unknowns at the minimum, without the attitudes.
+    """Cofactors of the shared unknowns at the minimum, with the attitudes eliminated by the Schur complement.
 
     Inner constraints remove the rotation of the ball's axes, which no observation fixes.
     """
 
     def __init__(self, at: Rolling, s: Sightings, equations: Equations, readout: tuple[float, float]) -> None:
         """`readout` is the expected one and its standard deviation, s."""
-        weight = np.ones(len(s))
-        normal = _normal(at, s, equations, weight, readout)
-        own = normal.own + 1e-9 * np.trace(normal.own, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        J, shared = _observations(at, equations, readout)[1], GLOBAL + 2 * len(at.discs)
+        own = np.zeros((len(at.attitude), 3, 3))
+        np.add.at(own, s.frame, equations.turn.transpose(0, 2, 1) @ equations.turn)
+        own += 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        cross = (J[:, shared:].T @ J[:, :shared]).toarray().reshape(len(own), 3, shared)
         self.equations, self.frame, self.free = equations, s.frame, _free(at)
         self._inverse = np.linalg.inv(own)
-        self._gain = self._inverse @ normal.cross
-        N = normal.shared - np.einsum("fik,fil->kl", normal.cross, self._gain)
+        self._gain = self._inverse @ cross
+        N = (J[:, :shared].T @ J[:, :shared]).toarray() - np.einsum("fik,fil->kl", cross, self._gain)
         scale = 1.0 / np.sqrt(np.diag(N))
         Q = np.linalg.inv(N * np.outer(scale, scale)) * np.outer(scale, scale)
         # remove the weight that held the rotation of the axes
@@ -162,8 +172,9 @@ class Eliminated:
 
     def reduced(self) -> Array:
         """Return the Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 4 + 2m)."""
-        turn = self.equations.turn
-        return self.equations.shared.toarray().reshape(len(turn), 2, -1) - turn @ self._gain[self.frame]
+        turn, shared = self.equations.turn, len(self.cofactors)
+        J = self.equations.jacobian[:, :shared].toarray().reshape(len(turn), 2, shared)
+        return J - turn @ self._gain[self.frame]
 
     def residual_cofactors(self) -> Array:
         """Return I - A Q A' of each sighting, (n, 2, 2)."""
@@ -173,49 +184,35 @@ class Eliminated:
 
 
 def minimise(
-    at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], *, knee: float | None
+    at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], *, knee: float
 ) -> tuple[Rolling, Eliminated]:
-    """Minimise the sum of Huber's function with its `knee`, in standard deviations; None: the sum of squares.
+    """Minimise the sum of Huber's function with its `knee`, in standard deviations; infinite: the sum of squares.
 
     `readout` is the expected one and its standard deviation, s. Raises CalibrationError if there is no minimum.
     """
-
-    def linear(at: Rolling) -> tuple[float, Callable[[], Normal]]:
-        equations = equations_of(at, s, camera)
-        length = np.linalg.norm(equations.residual, axis=1)
-        prior = ((at.readout - readout[0]) / max(readout[1], _MIN_READOUT_SIGMA)) ** 2
-        cost = huber_cost(length, knee) + prior if at.ratio > 1.0 else np.inf  # else the camera is within the ball
-        return cost, lambda: _normal(at, s, equations, huber(length, knee), readout)
-
-    at = levenberg_marquardt(
-        at, linear, lambda at, move: apply_step(at, move.shared, move.own), "roll the ball longer, and about more axes"
+    at = adjust(
+        lambda at: _observations(at, equations_of(at, s, camera), readout),
+        at,
+        apply_step,
+        "roll the ball longer, and about more axes",
+        knee,
     )
     return at, Eliminated(at, s, equations_of(at, s, camera), readout)
 
 
-def _normal(at: Rolling, s: Sightings, equations: Equations, root: Array, readout: tuple[float, float]) -> Normal:
-    """Normal equations of sightings times `root` (n,); an attitude is local to its frame.
+def _observations(at: Rolling, equations: Equations, readout: tuple[float, float]) -> tuple[Array, Jacobian]:
+    """Return residuals, computed minus measured, (2n + 4,), and their Jacobian by all unknowns.
 
-    A weight on the mean disc holds the rotation of the ball's axes.
+    The last rows are of the readout, and of the rotation of the ball's axes, which is held. The residuals are nan if
+    the camera is within the ball.
     """
-    turn, f = equations.turn * root[:, None, None], len(at.attitude)
-    shared = sparse.csr_array(sparse.diags_array(np.repeat(root, 2)) @ equations.shared)
-    r = equations.residual * root[:, None]
-    rows = np.arange(2 * len(s)).reshape(-1, 2, 1)
-    columns = 3 * s.frame[:, None, None] + np.arange(3)
-    where = np.broadcast_to(rows, turn.shape).ravel(), np.broadcast_to(columns, turn.shape).ravel()
-    at_frame = sparse.csr_array((turn.ravel(), where), shape=(2 * len(s), 3 * f))
-    own = np.zeros((f, 3, 3))
-    np.add.at(own, s.frame, turn.transpose(0, 2, 1) @ turn)
-    N, b = (shared.T @ shared).toarray(), np.asarray(shared.T @ r.ravel())
-    expected, sigma = readout
-    hold = 1.0 / max(sigma, _MIN_READOUT_SIGMA) ** 2
-    N[READOUT, READOUT] += hold
-    b[READOUT] += hold * (expected - at.readout)
-    free = _free(at)
-    N += float(np.median(np.diag(N)[GLOBAL:])) * free @ free.T
-    cross = (at_frame.T @ shared).toarray().reshape(f, 3, -1)
-    return Normal(N, b, own, cross, (at_frame.T @ r.ravel()).reshape(f, 3))
+    J, free = equations.jacobian, _free(at)
+    weight = np.sqrt(np.median(np.asarray(J.power(2).sum(axis=0)).ravel()[GLOBAL : len(free)]))
+    sigma = max(readout[1], _MIN_READOUT_SIGMA)
+    held = np.vstack([np.eye(1, len(free), READOUT) / sigma, weight * free.T])
+    rows = sparse.hstack([held, sparse.csr_array((4, 3 * len(at.attitude)))])
+    residual = np.concatenate([-equations.residual.ravel(), [(at.readout - readout[0]) / sigma], np.zeros(3)])
+    return residual if at.ratio > 1.0 else np.nan * residual, sparse.csr_array(sparse.vstack([J, rows]))
 
 
 def _free(at: Rolling) -> Array:
@@ -225,8 +222,9 @@ def _free(at: Rolling) -> Array:
     return np.linalg.qr(free)[0]
 
 
-def apply_step(at: Rolling, dx: Array, de: Array) -> Rolling:
-    """Apply a step of the shared unknowns, (4 + 2m,), and of the attitudes, (f, 3)."""
+def apply_step(at: Rolling, step: Array) -> Rolling:
+    """Apply a step of the shared unknowns and of the attitudes, (4 + 2m + 3f,)."""
+    dx, de = np.split(step, [GLOBAL + 2 * len(at.discs)])
     c = at.direction + tangent_basis(at.direction) @ dx[:2]
     d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[GLOBAL:].reshape(-1, 2))
     return replace(
@@ -235,5 +233,5 @@ def apply_step(at: Rolling, dx: Array, de: Array) -> Rolling:
         ratio=at.ratio * float(np.exp(np.clip(dx[2], -0.5, 0.5))),
         readout=at.readout + float(dx[READOUT]),
         discs=d / np.linalg.norm(d, axis=1, keepdims=True),
-        attitude=exp(de) @ at.attitude,
+        attitude=exp(de.reshape(-1, 3)) @ at.attitude,
     )

@@ -135,9 +135,9 @@ def test_one_distance_is_not_checked_and_none_is_free():
 def test_distances_that_contradict_each_other_are_named(good):
     assert not any("contradict" in t for t in said(good))
     at = 2 * len(good.problem.image)
-    residual = good.solution.adjusted.residual.copy()
+    residual = good.solution.residual.copy()
     residual[at:] = 4.0
-    solution = replace(good.solution, adjusted=replace(good.solution.adjusted, residual=residual))
+    solution = replace(good.solution, residual=residual)
     assert any("distances contradict each other" in t for t in said(replace(good, solution=solution)))
 
 
