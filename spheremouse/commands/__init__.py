@@ -73,7 +73,6 @@ def _load_command(name: str, epilog: str) -> Any:
 
 
 def _new_typer(completion: bool = False, **options: Any) -> typer.Typer:
-    """Return an empty group of commands with our options of Typer."""
     return typer.Typer(
         no_args_is_help=True,
         add_completion=completion,

@@ -6,7 +6,6 @@ A tracker that has lost the ball is fast, so the figures also have the steps in 
 import gc
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -48,12 +47,15 @@ def bench(
     before. Pose and the first 10 steps do not count. For another picture size, give a dataset that `simulate --size`
     made.
     """
+    import cv2
+
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.files.safe_files import write_json
 
     check_outputs([json_file], [dataset], force=True)
     film = _simulated_film() if dataset is None else _recorded_film(dataset)
-    with _one_thread(), progress_bar(auto_refresh=False) as bar:
+    cv2.setNumThreads(1)  # the linear algebra has one in all commands
+    with progress_bar(auto_refresh=False) as bar:
         task = bar.add_task("stepping", total=steps)
         progress_steps = max(1, steps // 100)
         found = measure(film, steps, lambda k: k % progress_steps or bar.update(task, completed=k, refresh=True))
@@ -97,24 +99,8 @@ def _recorded_film(path: Path) -> Film:
     return Film(recording.name, recording.rig, 1.0 / recording.fps, lambda: read_frames(recording))
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run OpenCV on one thread in this block. The linear algebra has one in all commands."""
-    import cv2
-
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
-
-
 def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _: None) -> Steps:
-    """Measure steps of the tracker; DatasetError if there are too few frames.
-
-    Garbage is collected and frozen before, as in the daemon.
-    """
+    """Measure steps of the tracker, without garbage collection as in the daemon. DatasetError: too few frames."""
     import numpy as np
 
     from spheremouse.ball.build import begin, build
@@ -180,7 +166,6 @@ def compare(tracker: "Tracker", frames: "list[Frame]") -> tuple[float, ...]:
 
 
 def _fitting(film: Film, frames: "Iterator[Frame]") -> "list[Frame]":
-    """Return the first frames of a film, as many as memory may hold."""
     size = film.rig.camera.width * film.rig.camera.height * 3
     found = list(islice(frames, max(_MAX_FRAME_BYTES // size, WARM_UP + 1)))
     if len(found) <= WARM_UP:

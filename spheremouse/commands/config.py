@@ -1,7 +1,7 @@
 """`spheremouse config`: print the settings in force, check a file, write a new one."""
 
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
@@ -17,10 +17,7 @@ def show(file: ConfigFile = None, assignments: Assignments = None) -> None:
     from spheremouse.files import config
     from spheremouse.session.settings import Configuration
 
-    try:
-        settings = config.in_force(file, assignments or (), Configuration)
-    except SpheremouseError as e:
-        _fail(e)
+    settings = config.in_force(file, assignments or (), Configuration)
     typer.echo(config.dump(settings, Configuration()), nl=False)
 
 
@@ -40,7 +37,8 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
         document = read_document(file)
         found = validate(file, config.loads(document, Configuration))
     except SpheremouseError as e:
-        _fail(e)
+        typer.echo(str(e), err=True)
+        raise typer.Exit(2) from None
     problems = [*found.wrong, *(Problem(p.key, f"warning: {p.text}") for p in found.now)]
     for line in [*([str(document.error(problems))] if problems else []), *found.elsewhere]:
         typer.echo(line, err=True)
@@ -61,14 +59,6 @@ def init(
     from spheremouse.files.safe_files import write_atomically
     from spheremouse.session.settings import Configuration
 
-    try:
-        check_outputs([file], [], force=force)
-        write_atomically(file, config.dump_commented(Configuration(), None if everything else Configuration.COMMON))
-    except SpheremouseError as e:
-        _fail(e)
+    check_outputs([file], [], force=force)
+    write_atomically(file, config.dump_commented(Configuration(), None if everything else Configuration.COMMON))
     typer.echo(f"{file}: written")
-
-
-def _fail(error: SpheremouseError) -> NoReturn:
-    typer.echo(str(error), err=True)
-    raise typer.Exit(2)

@@ -1,17 +1,12 @@
 """`spheremouse export`: track a recording, and write pictures, marks and samples as an MCAP file."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from spheremouse.commands.options import Assignments, Balls, CameraFile, ConfigFile, RigFile
 from spheremouse.errors import ConfigurationError, format_count, os_errors_as
-
-if TYPE_CHECKING:
-    from io import BufferedWriter
-
-    from spheremouse.session.run_config import RunConfig
 
 
 def export(
@@ -31,41 +26,32 @@ def export(
     of a configuration file do not count. The command needs the extra `mcap`.
     """
     from spheremouse.calibrate.outputs import check_outputs
+    from spheremouse.commands.terminal import progress_bar
     from spheremouse.commands.track import of_recording
     from spheremouse.files.safe_files import NewFile
-    from spheremouse.session.mcap import sdk
+    from spheremouse.session import offline
+    from spheremouse.session.mcap import McapWriter, sdk
     from spheremouse.session.run_config import read_run_config
+    from spheremouse.session.run_description import describe_run
+    from spheremouse.session.setup import open_setup
+    from spheremouse.session.tracker_adapter import here
 
     sdk()
     check_outputs([out], [recording, config, rig, camera, *(balls or ())], force=force)
     options = {"rig": rig, "camera_file": camera, "wand.balls": balls}
     plan = read_run_config(of_recording(recording, config, assignments, options))
-    with os_errors_as(ConfigurationError, f"{out}: cannot be written"):
-        with NewFile(out) as new:
-            frames = _write(new.file, plan)
-        size = out.stat().st_size
-    print(f"{out}: {format_count(frames, 'frame')}, {size / 1e6:.1f} MB")
-
-
-def _write(file: "BufferedWriter", plan: "RunConfig") -> int:
-    """Write the file of a plan, and return the number of its frames. Raise OSError if that fails."""
-    from spheremouse.commands.terminal import progress_bar
-    from spheremouse.session import offline
-    from spheremouse.session.mcap import McapWriter
-    from spheremouse.session.run_description import describe_run
-    from spheremouse.session.setup import open_setup
-    from spheremouse.session.tracker_adapter import here
-
     setup = open_setup(plan)
     source = setup.source
     assert source is not None
-    with source, progress_bar() as progress:
-        writer = McapWriter(file, describe_run(plan))
-        adapter = setup.adapter(plan, writer.log, here)
-        frames = adapter.begin(iter(progress.track(source, source.count, description="exporting")))
-        offline.follow(offline.results(frames, adapter), adapter, {}, writer)
-        failure = adapter.failure("")
-        if failure is not None:
-            raise failure
-        writer.close()
-    return writer.frames
+    with os_errors_as(ConfigurationError, f"{out}: cannot be written"):
+        with NewFile(out) as new, source, progress_bar() as progress:
+            writer = McapWriter(new.file, describe_run(plan))
+            adapter = setup.adapter(plan, writer.log, here)
+            frames = adapter.begin(iter(progress.track(source, source.count, description="exporting")))
+            offline.follow(offline.results(frames, adapter), adapter, {}, writer)
+            failure = adapter.failure("")
+            if failure is not None:
+                raise failure
+            writer.close()
+        size = out.stat().st_size
+    print(f"{out}: {format_count(writer.frames, 'frame')}, {size / 1e6:.1f} MB")

@@ -67,9 +67,6 @@ def match(
         print(_section(settings), end="")
 
 
-# ---- input ----
-
-
 def _plan(
     recording: str, assignments: list[str], config: Path | None, rig: Path | None, camera: Path | None
 ) -> "RunConfig":
@@ -112,10 +109,7 @@ def _track_and_match(recording: str, plan: "RunConfig", log: Path) -> "tuple[Mat
 
 
 def track_recording(recording: str, plan: "RunConfig") -> "tuple[Run, Rig]":
-    """Track the recording. If it is cut short, keep the frames before the end.
-
-    Raises PoseError if the camera's pose is not found, DatasetError or SourceError if no frame can be tracked.
-    """
+    """Track the recording up to its readable end. PoseError: no camera pose; DatasetError, SourceError: no frame."""
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.session.evaluate import run_ball
@@ -139,11 +133,7 @@ def _readable(frames: "Iterator[Frame]") -> "Iterator[Frame]":
         print(f"{e}; the frames before are used", file=sys.stderr)
 
 
-# ---- output ----
-
-
 def _section(settings: "MotionSettings") -> str:
-    """Return the settings as the section `motion` of a configuration file."""
     from spheremouse.files.config import to_yaml
 
     keys = [k for k in _KEYS if k != "counts_per_mm" or settings.counts_per_radian is None]
@@ -152,7 +142,6 @@ def _section(settings: "MotionSettings") -> str:
 
 
 def _file(settings: "MotionSettings", source: str, verdict: str) -> str:
-    """Return a configuration file with scale and axes alone."""
     from spheremouse.files.config import KIND
     from spheremouse.files.yaml import SCHEMAS
 
@@ -161,7 +150,6 @@ def _file(settings: "MotionSettings", source: str, verdict: str) -> str:
 
 
 def _print_match(found: "Match", verdict: "Verdict") -> None:
-    """Print the regression as a table, then lag, motion and verdict."""
     from rich.table import Column, Table
 
     from spheremouse.commands.terminal import table_console

@@ -6,6 +6,7 @@ or a list is its form, WxH or X,Y,Z. A length in m may be typed with its unit.
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, Field, fields
 from functools import partial, wraps
 from math import inf, isfinite
@@ -23,7 +24,6 @@ _LENS = "k1,k2,p1,p2,k3"  # of at most 2: no lens bends more
 Command = Callable[..., None]
 T = TypeVar("T")
 
-# ---- options that several commands have ----
 
 Assignments = Annotated[
     list[str] | None,
@@ -57,7 +57,7 @@ Socket = Annotated[
 ]
 
 
-# ---- the board; by default as in its board.yaml, or as printed ----
+# The board: by default as in its board.yaml, or as printed
 
 Corners = Annotated[
     str | None,
@@ -98,9 +98,6 @@ def settings_given(assignments: list[str] | None, config: Path | None, options: 
 
     given = {key: plain(value) for key, value in options.items() if value not in (None, [])}
     return (*(assignments or ()), *as_assignments(given))
-
-
-# ---- options from the fields of a dataclass ----
 
 
 def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
@@ -152,15 +149,11 @@ def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
     return parameter(default=default, annotation=Annotated[annotation, option])
 
 
-# ---- words ----
-
-
 def _is_word(unit: str) -> bool:
     return unit in ("WxH", "m") or "," in unit
 
 
 def _word(unit: str, value: Any) -> str | None:
-    """Return a default as a person types it, such as 1m or 640x480."""
     if value is None:
         return None
     return f"{value:g}m" if unit == "m" else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
@@ -177,17 +170,14 @@ def _value(field: "Field[Any]", typed: Any, names: tuple[str, ...] | None) -> An
     example = "-0.1,0,0,0,0" if unit == _LENS else _word(unit, field.default) or "30,30,200 for red"
     if unit == "WxH":
         return parse_size(typed, field.metadata["bounds"]["ge"], example)
-    return _numbers(option, typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
+    return parse_numbers(option, typed, unit.count(",") + 1, 2.0 if unit == _LENS else inf, example)
 
 
 def _length(option: str, text: str) -> float:
-    """Return the metres of `0.005` or `5mm`."""
     from spheremouse.calibrate.board import parse_length
 
-    try:
+    with suppress(ValueError):
         return float(text)
-    except ValueError:
-        pass
     try:
         return parse_length(text)
     except CalibrationError as e:
@@ -211,8 +201,8 @@ def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _numbers(option: str, text: str, n: int, limit: float, example: str) -> tuple[float, ...]:
-    """Return `n` numbers between commas, of at most `limit`."""
+def parse_numbers(option: str, text: str, n: int, limit: float, example: str) -> tuple[float, ...]:
+    """Return `n` numbers between commas, of at most `limit`; ConfigurationError for other texts."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
         if len(numbers) != n or not all(isfinite(x) and abs(x) <= limit for x in numbers):

@@ -86,7 +86,6 @@ def _reason(found: "Tuning") -> str:
 
 
 def _seconds(text: str) -> float:
-    """Return the time in s of words like 5min. Raise ConfigurationError for others."""
     found: Any = re.fullmatch(r"(\d{1,6}(?:\.\d{1,3})?) ?(s|min|h|)", text.strip())
     if found is None or not float(found[1]) > 0.0:
         raise ConfigurationError(f"--budget {text}: is no time", "write for example 30s, 5min or 1h")

@@ -91,13 +91,11 @@ def page_address(address: str, port: int, files: Sequence[Path]) -> str:
 
 
 def _with_token(address: str, port: int, token: str) -> str:
-    """Return the address of the page with the token."""
     host = "localhost" if address in ("0.0.0.0", "::") else f"[{address}]" if ":" in address else address
     return f"http://{host}:{port}/?token={token}"
 
 
 def _proof(address: str, port: int, nonce: str) -> bytes | None:
-    """Return the proof of the page's token; None if no page answers."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
     try:
         connection = HTTPConnection(host, port, timeout=_ANSWER_S)
@@ -109,7 +107,6 @@ def _proof(address: str, port: int, nonce: str) -> bytes | None:
 
 
 def _serve(app: "Starlette", address: str, port: int, token: str) -> None:
-    """Listen, print the address of the owner, and serve until the process ends."""
     import socket as sockets
 
     from spheremouse.view.server import server

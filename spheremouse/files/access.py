@@ -66,10 +66,7 @@ def _groups_of(user: str) -> list[str]:
 
 
 def service_files(name: str = "") -> Path:
-    """Return the folder `service/`, or a folder in it, from the repository or the installed package.
-
-    Raises ServiceError if neither has it.
-    """
+    """Return the folder `service/`, or one in it, of repository or package. ServiceError: neither has it."""
     package = Path(spheremouse.__file__).parent
     for path in (package.parent / "service", package / "_service"):
         if (path / "firmware").is_dir() and (path / name).is_dir():

@@ -1,7 +1,4 @@
-"""The folder of a calibration: names of its files, and its place if no folder is named.
-
-The live page reads it, and loads no OpenCV.
-"""
+"""Names of the files of a calibration, and its usual folder. The live page reads this without OpenCV."""
 
 from pathlib import Path
 

@@ -88,10 +88,7 @@ def _profiles(document: Document, settings: Any) -> Profiles:
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
-    """Return the settings of a run: the defaults, then the file, then each KEY=VALUE in order.
-
-    Raises ConfigurationError if one is invalid.
-    """
+    """Return the settings of a run: defaults, then file, then each KEY=VALUE. ConfigurationError: one is invalid."""
     settings = root() if file is None else load(file, root)
     for assignment in assignments:
         settings = override(settings, assignment)
@@ -187,7 +184,6 @@ def describe(settings: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(hint: Any) -> str:
-    """Return the name of a setting's type: a list if it can be one, a choice if it has nothing else."""
     kinds = get_args(hint) if get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
     if any(get_origin(kind) is tuple for kind in kinds):
         return "list"
@@ -303,10 +299,7 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 
 @functools.cache
 def _ordered_fields(cls: type) -> tuple["dataclasses.Field[Any]", ...]:
-    """Return the fields of a settings class in the order of a YAML file: settings first, then sections.
-
-    A field that is neither a section nor made by `settings.param` is a constant of the code and left out.
-    """
+    """Return the fields in the order of a YAML file: settings, then sections. Fields without `param` are constants."""
     found = [f for f in dataclasses.fields(cls) if f.metadata or _is_section(cls, f)]
     return tuple(sorted(found, key=lambda f: _is_section(cls, f)))
 
@@ -375,7 +368,6 @@ def _choices(hint: Any) -> Iterator[Any]:
 
 
 def _summary(cls: type) -> str:
-    """Return the first paragraph of a settings class, for the head of its section."""
     text = (cls.__doc__ or cls.__name__).strip().split("\n\n")[0]
     return " ".join(text.split())
 

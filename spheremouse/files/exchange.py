@@ -74,7 +74,6 @@ def save(path: Path, assignments: Iterable[str]) -> None:
 
 
 def _flat(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield nested data as pairs of dotted key and value."""
     for key, value in data.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")

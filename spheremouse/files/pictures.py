@@ -40,10 +40,7 @@ class Header(NamedTuple):
 
 
 def decode(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
-    """Decode an image file: (h, w, 3) blue, green, red, as stored or `upright`. Call `read_header` first, for its size.
-
-    Raises OSError if OpenCV cannot decode it.
-    """
+    """Decode an image, (h, w, 3) BGR, as stored or `upright`, after `read_header`. OSError: it cannot be decoded."""
     turned = 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | turned)
@@ -117,9 +114,6 @@ def _check_chunks(data: bytes) -> None:
 
 def _too_large(name: str, pixels: int) -> OSError:
     return _RefusedError(errno.EFBIG, f"is {name}; scale it to at most {pixels // 1_000_000} megapixels")
-
-
-# ---- films ----
 
 
 def open_capture(source: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCapture | None:

@@ -46,10 +46,7 @@ def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseErro
 
 
 def probe(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> list[Finding]:
-    """Return the findings of the module's function `probe`, if it has one, about the device or file of the argument.
-
-    A probe does not disturb a run that uses them. Raises as `check` does.
-    """
+    """Return the findings of the module's `probe`, if it has one, without disturbing a run. Raises as `check` does."""
     module, argument = resolve(package, what, spec, error)
     check(package, what, spec, error)
     examine: Callable[[str], list[Finding]] | None = getattr(module, "probe", None)
@@ -138,10 +135,7 @@ def _full(package: ModuleType, spec: str) -> str:
 
 
 def _load(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
-    """Return the module of a plug-in. Raise `error` if it cannot be loaded or has no function `open`.
-
-    `what` is the kind of plug-in in the message, for example "output".
-    """
+    """Return the module of a plug-in; `error` if it cannot be loaded or has no function `open`."""
     origin = f"{what} {entry.name}: the plug-in {entry.value}"
     try:
         module = entry.load()

@@ -41,9 +41,6 @@ _STREAMS = {"stdin": 0, "stdout": 1, "stderr": 2}
 _STREAM = re.compile(r"/dev/(stdin|stdout|stderr)|/(?:dev|proc/self)/fd/(\d{1,9})")
 
 
-# ---- read ----
-
-
 def read_bytes(path: Path, max_bytes: int, kind: str) -> bytes:
     """Read a file. Raise OSError above `max_bytes`, which no file of this `kind` has."""
     with open_to_read(path) as file:
@@ -86,9 +83,6 @@ def lines(file: BufferedReader) -> Iterator[str]:
         yield line
 
 
-# ---- write to streams, and append ----
-
-
 def open_to_append(path: Path) -> BufferedWriter:
     """Open the file, stream or pipe that a person named, to write at its end; a missing file is made."""
     return os.fdopen(_open_to_write(path, os.O_CREAT | os.O_APPEND), "ab")
@@ -103,9 +97,6 @@ def is_stream(path: Path) -> bool:
     except OSError:
         return False
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-# ---- write whole files ----
 
 
 def replace(path: Path, data: bytes, mode: int | None = None) -> None:
@@ -208,9 +199,6 @@ def _clear_left(path: Path) -> None:
                 left.unlink()
 
 
-# ---- write whole folders ----
-
-
 class NewFolder:
     """A folder under a hidden name beside its place.
 
@@ -235,10 +223,7 @@ class NewFolder:
         return self.path
 
     def finish(self) -> None:
-        """Move the folder to its place; then remove the one that was there.
-
-        Raises OSError; the old folder is then put back if possible.
-        """
+        """Move the folder to its place and remove the old one. OSError: the old one is put back if possible."""
         if not self._target.exists():
             os.replace(self.path, self._target)
             return
@@ -263,9 +248,6 @@ class NewFolder:
         else:
             with contextlib.suppress(OSError):
                 os.replace(self._old, self._target)
-
-
-# ---- refuse folders to root ----
 
 
 def refuse_shared_folder(folder: Path) -> None:
@@ -309,9 +291,6 @@ def _folders_on_the_way(folder: Path) -> set[Path]:
     return found
 
 
-# ---- within ----
-
-
 def _refuse_other_kinds(mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -333,7 +312,6 @@ def _hidden_name(path: Path, ending: str = "") -> Path:
 
 
 def _regular(path: Path) -> os.stat_result | None:
-    """Return the status of the regular file at `path`, if there is one."""
     try:
         found = path.stat()
     except FileNotFoundError:

@@ -40,10 +40,7 @@ class Provenance(BaseModel):
 
 
 def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
-    """Read a file of this `kind`, a key of `SCHEMAS`. Return the document without `schema`, and the model instance.
-
-    Raises ConfigurationError with the file's problems.
-    """
+    """Read a file of a `kind` of SCHEMAS: document and model instance. ConfigurationError has its problems."""
     document = without_schema(read_document(path), kind)
     return document, validate(document, model)
 
@@ -68,10 +65,7 @@ def nearest(word: str, names: Sequence[str], otherwise: str = "") -> str:
 
 
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
-    """Return pydantic's errors as problems sorted by line, at most MAX_PROBLEMS, and the number of the others.
-
-    Several errors about one key (a union's branches) become one.
-    """
+    """Return pydantic's errors, one for a key, sorted by line, at most MAX_PROBLEMS, and the number of the others."""
     found: dict[Key, list[Any]] = {}
     for e in error.errors(include_url=False):
         key = _within(e["loc"], document.data, missing=e["type"] in ("missing", "extra_forbidden"))
@@ -81,21 +75,22 @@ def _problems(error: ValidationError, document: Document, model: type[BaseModel]
 
 
 def _message(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseModel]) -> str:
-    first = complaints[0]
-    if len(complaints) > 1:
-        return _with_advice(", or ".join(map(_complaint_text, complaints)), key, data, model)
-    if first["type"] == "extra_forbidden":
+    if complaints[0]["type"] == "extra_forbidden":
         return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
-    if first["type"] == "missing":
-        return _with_advice("missing", key, data=None, model=model, value=False)
-    return _with_advice(_complaint_text(first), key, data, model)
+    text = ", or ".join(map(_complaint_text, complaints))
+    if complaints[0]["type"] != "missing":
+        for part in key:
+            data = data[part]
+        text += f", is {shown(data)}"
+    along = [info for info, _ in _walk(key, model) if info]
+    if key and isinstance(key[-1], str):  # the sections around a key give no advice on it
+        along = along[-1:]
+    described = [f.description for f in along if f.description]
+    return f"{text}; {described[-1]}" if described else text
 
 
 def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
-    """Return the key of pydantic's location `loc`, without the names of a union's branches, which are not in the data.
-
-    A `missing` or unknown key is kept at the end.
-    """
+    """Return the key of a location, without branches of unions. A `missing` or unknown key stays at the end."""
     key: list[int | str] = []
     for i, part in enumerate(loc):
         there = (isinstance(data, dict) and part in data) or (
@@ -110,6 +105,7 @@ def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
 
 
 _WORDS = {
+    "missing": "missing",
     "float_type": "must be a number",
     "int_type": "must be a whole number",
     "bool_type": "must be true or false",
@@ -144,25 +140,14 @@ def _complaint_text(e: Any) -> str:
     return one_line(e["msg"])
 
 
-def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, value: bool = True) -> str:
-    if value:
-        for part in key:
-            data = data[part]
-        text += f", is {shown(data)}"
-    along = [info for info, _ in _walk(key, model) if info]
-    if key and isinstance(key[-1], str):  # the sections around a key give no advice on it
-        along = along[-1:]
-    described = [f.description for f in along if f.description]
-    return f"{text}; {described[-1]}" if described else text
-
-
 def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
     """Return advice on an unknown key `word` of the section `parent`, for example "did you mean motion.scale_x?".
 
     Similar keys of this section come first. Then the section may be wrong, so keys of all sections count, if they are
     more similar. Otherwise the advice lists the keys of this section.
     """
-    section = _model_at(parent, model)
+    *_, annotation = (model, *(annotation for _, annotation in _walk(parent, model)))
+    section = next(_models(annotation), None)
     siblings = list(section.model_fields) if section else []
     if difflib.get_close_matches(word, siblings, cutoff=0.6):
         return nearest(word, siblings)
@@ -183,7 +168,6 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _element(annotation: Any) -> Any:
-    """Return the element type of a tuple in an annotation, or None."""
     if get_origin(annotation) is tuple:
         return get_args(annotation)[0]
     return next((e for a in get_args(annotation) if (e := _element(a)) is not None), None)
@@ -201,13 +185,6 @@ def _walk(key: Key, model: type[BaseModel]) -> Iterator[tuple[FieldInfo | None, 
             info = here.model_fields.get(part) if here else None
             annotation = info.annotation if info else None
         yield info, annotation
-
-
-def _model_at(key: Key, model: type[BaseModel]) -> type[BaseModel] | None:
-    annotation: Any = model
-    for _, annotation in _walk(key, model):  # noqa: B007  only the last one is used
-        pass
-    return next(_models(annotation), None)
 
 
 def _all_keys(model: type[BaseModel], prefix: Key = ()) -> Iterator[Key]:

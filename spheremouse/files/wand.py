@@ -128,9 +128,6 @@ def angles_of(disc: WandDisc) -> tuple[float, float]:
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0))))
 
 
-# ---- problems ----
-
-
 def _disc_problems(file: WandModel) -> Iterator[Problem]:
     for i, disc in enumerate(file.discs):
         if disc.diameter >= 2.0 * file.radius:

@@ -57,10 +57,7 @@ class Document:
         return f"{self.name}:{self.line(key)}: " if self.lines else self.name
 
     def error(self, problems: Sequence[Problem], more: int = 0) -> ConfigurationError:
-        """Return one error with a line for each problem, in the order of the file.
-
-        After MAX_PROBLEMS lines the last one gives the number of further problems, `more` among them.
-        """
+        """Return one error: a line for each problem, by line, at most MAX_PROBLEMS, and the number of the others."""
         ordered = sorted(problems, key=lambda p: self.line(p.key))
         listed, more = ordered[:MAX_PROBLEMS], more + len(ordered[MAX_PROBLEMS:])
         lines = [f"{self.place(p.key)}{dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in listed]
@@ -101,10 +98,7 @@ def read_raw(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def parse_bytes(raw: bytes, name: str) -> Document:
-    """Return the document in the bytes of a file. `name` stands for the file in messages.
-
-    Raises ConfigurationError if the file is too large, not UTF-8, or not valid YAML.
-    """
+    """Return the document in the bytes of the file `name`. ConfigurationError: too large, not UTF-8, no YAML."""
     if len(raw) > MAX_BYTES:
         raise ConfigurationError(f"{name}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
     try:
@@ -142,10 +136,7 @@ def parse_value(text: str, name: str) -> Any:
 
 
 def without_schema(document: Document, kind: str) -> Document:
-    """Return a document of this kind without its key `schema`.
-
-    Raises ConfigurationError if the document is no mapping, or if its schema is missing or differs from ours.
-    """
+    """Return a document of this kind without `schema`. ConfigurationError: no mapping, or another schema than ours."""
     wanted, data = SCHEMAS[kind], document.data
     if not isinstance(data, dict):
         raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {wanted}`")])

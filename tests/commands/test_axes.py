@@ -73,9 +73,6 @@ def test_a_film_without_gestures_is_refused_in_a_line(spheremouse):
     assert "Traceback" not in err
 
 
-# ---- the dialogue ----
-
-
 class Played:
     """Motions as a adapter gives them."""
 

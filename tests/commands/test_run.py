@@ -91,9 +91,6 @@ def video_frames(path):
     return count
 
 
-# ---- a run ----
-
-
 def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(spheremouse, roll, tmp_path):
     picture = tmp_path / "last.png"
     out, err = spheremouse.succeed("run", "--source", f"dataset:{roll}", "--output", "text:-", "--overlay", picture)
@@ -140,9 +137,6 @@ def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(sp
     assert len(motions(out)) == 3
     said = spheremouse.fail(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
     assert said.startswith("frame 0 is 640x480, the camera was calibrated at 1280x960: ")
-
-
-# ---- the map of discs ----
 
 
 @pytest.fixture
@@ -220,9 +214,6 @@ def test_a_map_is_shown(spheremouse, empty_folder, roll):
         assert lines[2 + i] == [str(i), f"{latitude:+.1f}", f"{longitude:+.1f}", "0.057", str(i)]
 
 
-# ---- bad input ----
-
-
 @pytest.mark.parametrize("level", [0, 255])
 def test_pictures_of_one_colour_are_refused_in_one_line(spheremouse, images, variant, level):
     flat = [np.full_like(f, level) for f in images[:3]]
@@ -289,9 +280,6 @@ def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_req
         cli.main()
 
 
-# ---- signals ----
-
-
 def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(spheremouse, roll, tmp_path, monkeypatch):
     """It arrives while the ninth frame is worked on."""
     work = Worker.work
@@ -349,9 +337,6 @@ def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
                 signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-# ---- the demo, and what is shown ----
 
 
 def test_the_demo_writes_its_files_and_its_counts_are_the_true_ones(spheremouse, tmp_path):

@@ -43,9 +43,6 @@ def picture(shot, tmp_path):
     return path
 
 
-# ---- simulate and evaluate ----
-
-
 def test_a_film_is_made_and_evaluated(tmp_path):
     out = tmp_path / "film"
     words = ("--path", "hand", "--seconds", 0.6, "--seed", 3, "--size", "640x480", "--blur", 0.005, "--distance", 1.5)
@@ -76,9 +73,6 @@ def test_a_film_is_made_and_evaluated(tmp_path):
 def test_evaluate_refuses_what_does_not_go_with_a_wand(tmp_path, words, said):
     (tmp_path / "scene.json").write_text('{"wand": 1}')
     assert said in refused("evaluate", tmp_path, "--tracker", "wand", *words)
-
-
-# ---- colours ----
 
 
 def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
@@ -224,7 +218,7 @@ def test_what_cannot_be_picked_is_said_in_words(picture, shot, tmp_path):
     for words, said in (
         ((empty,), "no ball with blue and red discs on white is in view"),
         ((tmp_path / "none.png",), "none.png: no such file"),
-        ((picture, "--at", "1,2"), "--at 1,2: write the centre and the radius in px"),
+        ((picture, "--at", "1,2"), "--at 1,2: write 3 numbers, as in 640,480,25: centre and radius in px"),
         ((picture, "--at", "9999,2,5"), "--at 9999,2,5: not in a picture of 640x480 px"),
         ((picture, "--at", "30,30,20"), "blue: no such disc on the ball"),
         ((picture, "--show", "x.jpg"), "must end in .png"),

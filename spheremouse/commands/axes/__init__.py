@@ -117,7 +117,6 @@ def _options_to_keep(plan: "RunConfig", given: tuple[str, ...], config: Path) ->
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
-    """Save the settings in the configuration file, or print why nothing is saved."""
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 

@@ -134,10 +134,7 @@ def source_spec(source: str) -> str:
 
 
 def film(spec: str, seconds: float | None) -> "tuple[list[Image], InteriorOrientation | None]":
-    """Return pictures of the first seconds, or one, and the camera that the source knows.
-
-    Raises SourceError if the source gives none.
-    """
+    """Return pictures of the first seconds, or one, and the source's own camera. SourceError: it gives none."""
     from spheremouse.capture import section
     from spheremouse.session.cameras import looked_through
     from spheremouse.session.settings import Configuration

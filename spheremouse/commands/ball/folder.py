@@ -36,10 +36,7 @@ def check_folder(folder: Path, inputs: Iterable[Path | None], force: bool) -> No
 
 
 def write_folder(folder: Path, rig: Rig, picture: Image, spec: str, settings: Sequence[str], made_by: str) -> None:
-    """Write all files of the folder.
-
-    `spec` is the source, `settings` are more lines of the configuration, and `made_by` is the command.
-    """
+    """Write the folder: source `spec`, further lines of the configuration `settings`, and the command `made_by`."""
     provenance = {"made_by": f"spheremouse {__version__}, {made_by}", "source": spec}
     lines = [f"# Made by {made_by}.", f"schema: {SCHEMAS['configuration']}", f"source: {to_yaml(spec)}"]
     lines += [f"rig: {RIG_FILE}", *settings]

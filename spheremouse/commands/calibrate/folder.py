@@ -9,7 +9,7 @@ import typer
 
 from spheremouse.commands.options import JsonFile
 from spheremouse.commands.terminal import table_console
-from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError, os_errors_as
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,12 +36,8 @@ def init(
 
     folder = default_folder() if folder is None else folder
     for place in (folder / "board", folder / "device"):
-        try:
+        with os_errors_as(CalibrationError, f"{place}: cannot be made", "choose another place"):
             place.mkdir(parents=True, exist_ok=True)
-        except FileExistsError:
-            raise CalibrationError(f"{place}: is a file where a folder should be; choose another name") from None
-        except OSError as e:
-            raise CalibrationError(f"{place}: cannot be made: {e.strerror or e}; choose another place") from None
     path = folder / "device.yaml"
     if path.exists() and not force:
         typer.echo(f"{path}: there already, kept as it is (--force replaces it)")
@@ -80,7 +76,6 @@ def next_(
 
 
 def _show(steps: "Sequence[Step]") -> None:
-    """Print all steps as a table, and the instructions of the next one."""
     from rich.table import Table
     from rich.text import Text
 

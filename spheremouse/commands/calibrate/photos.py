@@ -11,7 +11,6 @@ from spheremouse.commands.options import Corners, Dictionary, Marker, Square
 from spheremouse.errors import CalibrationError, format_count
 
 if TYPE_CHECKING:
-    from spheremouse.calibrate.board import Pattern
     from spheremouse.calibrate.photographing.selector import Selector
     from spheremouse.calibrate.photographing.session import Outcome, Screen
     from spheremouse.capture import Source
@@ -62,6 +61,7 @@ def photos(
     """
     from spheremouse.calibrate.board import NAME, chosen_board, save_board
     from spheremouse.calibrate.guide.folder import camera_command, default_folder, device_command, photos_command
+    from spheremouse.calibrate.photographing.board import BoardSelector
     from spheremouse.calibrate.photographing.session import JsonScreen, open_screen, take_photos
     from spheremouse.capture import full_spec
     from spheremouse.capture.signals import SignalHandler
@@ -78,7 +78,7 @@ def photos(
     own = folder / "config.yaml"
     configured = in_force(config or (own if own.exists() else None), settings or (), Configuration)
     place = folder / ("board" if what == "camera" else "device")
-    begin = _board_selector(known) if what == "camera" else _device_selector(folder, configured)
+    begin = _device_selector(folder, configured) if what == "device" else lambda size: BoardSelector(known, size)
     with nullcontext(JsonScreen(picture)) if as_json else open_screen(sound) as screen:
         with _open(source, configured, folder, place, screen) as stream, SignalHandler() as stopping:
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, screen)
@@ -107,12 +107,6 @@ def _save_settings(config: Path, source: str | None, configured: "Configuration"
         given["source",] = source
     if given:
         save_settings(config, given, Configuration)
-
-
-def _board_selector(pattern: "Pattern") -> "Callable[[Size], Selector]":
-    from spheremouse.calibrate.photographing.board import BoardSelector
-
-    return lambda size: BoardSelector(pattern, size)
 
 
 def _device_selector(folder: Path, configured: "Configuration") -> "Callable[[Size], Selector]":
@@ -152,6 +146,7 @@ def _open(
     """Open the camera in the mode of the existing photos."""
     from spheremouse.capture import full_spec
     from spheremouse.capture.nodes import default_camera, in_size
+    from spheremouse.commands.doctor.camera import read_controls
     from spheremouse.session.cameras import looked_through, node_of
 
     spec = full_spec(source or next(iter(configured.sources), None) or default_camera())
@@ -163,25 +158,18 @@ def _open(
         size = v4l2.largest_size(argument, _MAX_SIZE)
     spec = in_size(spec, size)
     with looked_through(spec, configured.camera) as stream:
-        if kind == "v4l2":
-            _warn_of_autofocus(node_of(spec), screen)
+        node = node_of(spec) if kind == "v4l2" else None
+        controls = None if node is None else read_controls(node)
+        if controls is not None and controls.automatic_focus:
+            screen.print(
+                "note: the focus is automatic: each time it moves, the calibration no longer holds; "
+                "give --set camera.focus=N here and camera.focus in the configuration"
+            )
         screen.print(f"{spec}: photos go to {place}")
         yield stream
 
 
-def _warn_of_autofocus(node: Path | None, screen: "Screen") -> None:
-    from spheremouse.commands.doctor.camera import read_controls
-
-    controls = None if node is None else read_controls(node)
-    if controls is not None and controls.automatic_focus:
-        screen.print(
-            "note: the focus is automatic: each time it moves, the calibration no longer holds; "
-            "give --set camera.focus=N here and camera.focus in the configuration"
-        )
-
-
 def _known_size(place: Path, lens: Path) -> "Size | None":
-    """Size of the existing photos, or of the camera file."""
     from spheremouse.calibrate.photos import has_photos, read_photos
     from spheremouse.files.rig import load_camera
 
@@ -196,10 +184,7 @@ def _known_size(place: Path, lens: Path) -> "Size | None":
 def _conclusion(
     outcome: "Outcome", place: Path, commands: tuple[str, str], min_photos: int, stopped: bool
 ) -> Iterator[str]:
-    """Yield the number of photos, the missing views and the next command. Raise the failure of the camera.
-
-    The `commands` follow the photos, and take more of them.
-    """
+    """Yield number, missing views and the next of the `commands` (go on, more photos). Raise the camera's failure."""
     (next_command, repeat_command), selector = commands, outcome.selector
     count = 0 if selector is None else selector.count
     photos = format_count(count, "photo")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from spheremouse.errors import CalibrationError
-from spheremouse.files.safe_files import read_bytes, replace
+from spheremouse.files.safe_files import replace
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 
@@ -100,21 +100,14 @@ def parse_radii(text: str) -> tuple[float, float, float]:
     return radii[0], radii[1], radii[2]
 
 
-def _holds(path: Path, data: bytes) -> bool:
-    """Return whether a file has exactly these bytes."""
-    try:
-        return read_bytes(path, len(data), "sheet") == data
-    except OSError:  # larger, for instance
-        return False
-
-
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
     """Write all files, or none if one of them exists and differs; board.yaml may differ."""
     from spheremouse.calibrate.board import NAME
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        differ = [n for n, d in made.items() if n != NAME and (folder / n).exists() and not _holds(folder / n, d)]
+        there = [name for name in made if name != NAME and (folder / name).exists()]
+        differ = [name for name in there if (folder / name).read_bytes() != made[name]]
         if differ and not force:
             other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
             raise CalibrationError(

@@ -206,7 +206,6 @@ def _save(
 
 
 def _print(source: str, solution: "Solution", figures: dict[str, Any], out: Path | None, err: bool) -> None:
-    """Print the report and the next command, on standard error if `err`."""
     from spheremouse.calibrate.guide.folder import axes_command
     from spheremouse.calibrate.report.rolling import advise, rolling_text
     from spheremouse.files.ball_map import map_path

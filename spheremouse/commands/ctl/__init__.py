@@ -8,13 +8,16 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from spheremouse.commands import terminal
 from spheremouse.commands.options import Socket
 from spheremouse.errors import ControlError, printable
+
+if TYPE_CHECKING:
+    from spheremouse.session.control.client import Client
 
 app = typer.Typer(no_args_is_help=True, help="Show the state of the running daemon, and send it requests.")
 
@@ -32,9 +35,7 @@ _Config = Annotated[
 @app.command(epilog="Example: spheremouse ctl status --json")
 def status(as_json: _Json = False, socket: Socket = None) -> None:
     """Show the state with its reason, frame rate, latency, discs, pose and output."""
-    from spheremouse.session.control.client import Client
-
-    with _failing(), Client(socket) as client:
+    with _client(socket) as client:
         report = client.status()
     if as_json:
         _print_json(report.as_json())
@@ -197,15 +198,13 @@ def save(
 def _file_to_write(
     socket: Path | None, config: Path | None, assignments: list[str] | None = None
 ) -> tuple[Path, list[str]] | None:
-    """Return the file for settings, and the settings, as `settings_to_save`."""
-    from spheremouse.session.control.client import Client, settings_to_save
+    from spheremouse.session.control.client import settings_to_save
 
-    with _failing(), Client(socket) as client:
+    with _client(socket) as client:
         return settings_to_save(client, config, assignments)
 
 
 def _write(file: Path, changes: list[str]) -> dict[str, Any]:
-    """Write settings into a configuration file. Return both for the report."""
     from spheremouse.files import config
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
@@ -299,23 +298,19 @@ def watch(
     from rich.console import Console
 
     from spheremouse.commands.ctl.words import event_line
-    from spheremouse.session.control.client import Client
 
     console = Console(highlight=False)
-    with _failing(), contextlib.suppress(KeyboardInterrupt), Client(socket) as client:
+    with _client(socket) as client, contextlib.suppress(KeyboardInterrupt):
         for event in client.watch(interval):
             console.print(event_line(event, time.strftime("%H:%M:%S")), soft_wrap=True)
 
 
 def _print_samples(socket: Path | None) -> None:
-    from spheremouse.session.control.client import Client
-
-    with _failing(), Client(socket) as client:
+    with _client(socket) as client:
         try:
-            for sample in client.sample_objects():
-                print(json.dumps(sample, separators=(",", ":")), flush=True)
-        except KeyboardInterrupt:
-            pass
+            with contextlib.suppress(KeyboardInterrupt):
+                for sample in client.sample_objects():
+                    print(json.dumps(sample, separators=(",", ":")), flush=True)
         finally:
             if client.dropped:
                 terminal.error(f"{client.dropped} samples dropped, because their reader was too slow")
@@ -328,18 +323,18 @@ def stop(as_json: _Json = False, socket: Socket = None) -> None:
 
 
 def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
-    from spheremouse.session.control.client import Client
-
-    with _failing(), Client(socket) as client:
+    with _client(socket) as client:
         return client.ask(command, **arguments)
 
 
 @contextlib.contextmanager
-def _failing() -> Iterator[None]:
-    from spheremouse.session.control.client import NoDaemonError
+def _client(socket: Path | None) -> "Iterator[Client]":
+    """Connect to the daemon. Its errors become a line and our exit codes."""
+    from spheremouse.session.control.client import Client, NoDaemonError
 
     try:
-        yield
+        with Client(socket) as client:
+            yield client
     except ControlError as e:
         terminal.error(str(e))
         raise typer.Exit(NO_DAEMON if isinstance(e, NoDaemonError) else REFUSED) from None

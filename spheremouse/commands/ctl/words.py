@@ -136,7 +136,6 @@ def _motion(s: StatusReport) -> Text:
 
 
 def _ball(ball: BallStatus) -> Text:
-    """Return place and attitude of a ball in a hand, with standard deviations."""
     words = f"{ball.name} {ball.state}"
     place, angles, sigma, turned = ball.position_m, ball.angles_deg, ball.sigma_mm, ball.sigma_deg
     if place and angles and sigma and turned:

@@ -28,7 +28,6 @@ def demo(
 
 
 def _play_game(seconds: float, seed: int) -> None:
-    """Play the game of boulder.py with a simulated ball."""
     import os
 
     import spheremouse as sm

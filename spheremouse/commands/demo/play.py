@@ -1,10 +1,5 @@
-"""Run the demonstration: simulate, track, show, and compare with the truth.
+"""Run the demonstration: simulate, track by pictures and rig alone, show, and compare with the truth."""
 
-The tracker gets the pictures and the rig. The truth is used at the end alone.
-"""
-
-import os
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -84,7 +79,6 @@ def play(out: Path, seconds: float, seed: int) -> None:
 
 
 def _compare(film: "_Film", view: "_View", adapter: BallAdapter, out: Path) -> None:
-    """Draw the plot, and print the comparison with the truth, the files and the commands to try next."""
     run, found = view.history.run(), None if adapter.resection is None else adapter.resection.pose
     reference, frames = film.reference(), len(film.filmed)
     result = report(run, reference, adapter.rig, dataset="demo", tracker="so3", frames=frames, found=found)
@@ -94,12 +88,10 @@ def _compare(film: "_Film", view: "_View", adapter: BallAdapter, out: Path) -> N
     Console(file=sys.stdout, highlight=False).print(_summary(result, view, film.truth(), adapter.rig))
     files = [(str(out / name), meaning) for name, meaning in FILES.items() if (out / name).exists()]
     _print_pairs("files:", files)
-    _print_pairs("next:", [(f"{_program()} {words}", meaning) for words, meaning in _NEXT])
+    _print_pairs("next:", [(f"spheremouse {words}", meaning) for words, meaning in _NEXT])
 
 
 class _View(RunView):
-    """Also keeps the history of the run."""
-
     def __init__(self, *given: Any, **options: Any) -> None:
         super().__init__(*given, **options)
         self.history = History()
@@ -117,14 +109,6 @@ def _print_pairs(title: str, pairs: list[tuple[str, str]]) -> None:
     print(title)
     for first, second in pairs:
         print(f"  {first:{width}}  {second}")
-
-
-def _program() -> str:
-    """Return the words that start this program: its name, its path, or the module."""
-    path = Path(sys.argv[0])
-    if path.name == "__main__.py":
-        return f"{Path(sys.executable).name} -m spheremouse"
-    return path.name if shutil.which(path.name) else os.path.relpath(path)
 
 
 class _Film:
@@ -156,7 +140,6 @@ class _Film:
 
 
 def _summary(result: dict[str, Any], view: _View, truth: Truth, rig: Rig) -> Table:
-    """Return a table that compares the run with the truth."""
     tally, history = view.tally, view.history
     pose, median, lost = result["pose_error"], 1e3 * tally.times.quantile(0.5), result["lost_episodes"]
     position, angle = (float(np.linalg.norm(pose[key])) for key in ("position_mm", "angle_deg"))

@@ -35,9 +35,6 @@ _EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
 _MAINS = {0: "off", 1: "50 Hz", 2: "60 Hz", 3: "automatic"}  # V4L2_CID_POWER_LINE_FREQUENCY
 
 
-# ---- controls ----
-
-
 @dataclass(frozen=True, slots=True)
 class Controls:
     """Values of the controls; None if the camera has no such control."""
@@ -120,7 +117,6 @@ def controls(c: Controls) -> list[Finding]:
 
 
 def _exposure(c: Controls) -> Finding:
-    """Return the finding on automatic exposure and gain."""
     if c.automatic_exposure is None and c.exposure_s is None:
         return unchecked("exposure", "this camera has no control for it, so it is unknown")
     now = "" if c.exposure_s is None else f", now {1e3 * c.exposure_s:g} ms"
@@ -142,9 +138,6 @@ def _automatic(name: str, automatic: bool | None, effect: str, advice: str, now:
     if automatic:
         return Finding(name, Verdict.WARNING, f"automatic: {effect}", advice)
     return Finding(name, Verdict.OK, f"fixed{now}" if automatic is False else "this camera does not set it by itself")
-
-
-# ---- frames ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,9 +226,6 @@ def _footage(raws: Iterable[RawFrame], seconds: float, fps: float | None, *, liv
         notes = (str(e),)
     stamps, arrivals, sequence = np.array(times, dtype=float).reshape(-1, 3).T
     return Footage(stamps, arrivals, sequence.astype(int), tuple(views), fps, live, damaged, notes)
-
-
-# ---- times ----
 
 
 def rate(footage: Footage) -> Finding:

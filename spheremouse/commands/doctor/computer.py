@@ -16,8 +16,6 @@ from spheremouse.session.settings import RecordSettings
 _MIN_MEMORY_MB = 200.0  # tracking takes 180
 _CAP_SYS_NICE = 23
 
-# ---- program ----
-
 
 def version() -> Finding:
     """Report the versions of the program, of Python and of the system."""
@@ -25,9 +23,6 @@ def version() -> Finding:
     system = f"{platform.system()} {platform.release()}, {platform.machine()}"
     text = f"spheremouse {__version__}, Python {python}, {system}"
     return ok("version", text, spheremouse=__version__, python=python, system=system)
-
-
-# ---- computer ----
 
 
 def disk(settings: RecordSettings, state: Path | None = None) -> Finding:

@@ -79,8 +79,6 @@ def examine(
 
 
 class _Run:
-    """Examines configuration, camera, picture and output of a plan."""
-
     def __init__(
         self, plan: RunConfig, overrides: CommandLineOverrides, node: Path | None, findings: list[Finding]
     ) -> None:
@@ -143,10 +141,7 @@ class _Run:
         return lambda footage: iter(_run_check("sight", wand.sight, footage.views, tracker))
 
     def _check_rig_and_map(self) -> Callable[[cameras.Footage], Iterator[Finding]]:
-        """Add findings about rig and map, and return the check of the pictures, which uses that rig.
-
-        The rig is that of the plan, or else that of the recording.
-        """
+        """Add findings about rig (the plan's, else the recording's) and map. Return the check of the pictures by it."""
         plan, recorded = self.plan, None if self.footage is None else self.footage.rig
         if recorded is not None and plan.map_path is not None and plan.rig_path is None:
             plan = replace(plan, map_path=None)  # as in a run: such a map is of another ball
@@ -207,7 +202,6 @@ def _cameras(nodes_found: list[Node], live: bool) -> Finding:
 
 
 def _noise(footage: cameras.Footage, seen: sight.Sight | None) -> float:
-    """Return the noise in grey values, the median over the views."""
     if seen is not None:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]

@@ -31,7 +31,11 @@ def usual(overrides: CommandLineOverrides, status: StatusReport | None) -> Comma
     if overrides != CommandLineOverrides():
         return overrides
     if status is not None:
-        return _of_daemon(status)
+        outputs = tuple(output.spec for output in status.outputs)
+        named = {"source": status.source.spec, "output": outputs, "rig": status.rig, "map": status.map}
+        settings = config.assignments({key: value for key, value in named.items() if value is not None})
+        file = None if status.config is None else Path(status.config)
+        return CommandLineOverrides(file, settings, no_map=status.map is None)
     places = [Place(user=u).configuration / "config.yaml" for u in (False, True)]
     return replace(overrides, file=next((p for p in places if os.access(p, os.R_OK)), None))
 
@@ -40,14 +44,6 @@ def service_state(overrides: CommandLineOverrides) -> Path | None:
     """Return the service's folder of map and recordings; None if the configuration is not that of the service."""
     place = Place()
     return place.state if overrides.file == place.configuration / "config.yaml" else None
-
-
-def _of_daemon(status: StatusReport) -> CommandLineOverrides:
-    outputs = tuple(output.spec for output in status.outputs)
-    named = {"source": status.source.spec, "output": outputs, "rig": status.rig, "map": status.map}
-    settings = config.assignments({key: value for key, value in named.items() if value is not None})
-    file = None if status.config is None else Path(status.config)
-    return CommandLineOverrides(file, settings, no_map=status.map is None)
 
 
 def read(overrides: CommandLineOverrides, camera: str | None) -> tuple[RunConfig | None, list[Finding]]:

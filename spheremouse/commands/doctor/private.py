@@ -57,7 +57,6 @@ def _short(number: str) -> str:
 
 
 def _users() -> list[str]:
-    """Return this account, and the one that called sudo."""
     asked = os.environ.get("SUDO_USER", "")
     try:
         return [getpass.getuser(), asked]

@@ -45,7 +45,6 @@ def check(status: StatusReport) -> list[Finding]:
 
 
 def _camera(number: int, camera: CameraStatus) -> Finding:
-    """Return the finding on one camera of two: the run goes on without it."""
     text = f"{camera.description or camera.spec}: {camera.trouble or f'{camera.frames} frames tracked'}"
     advice = "plug it in again, or remove what its trouble names; the other camera goes on"
     return classify(f"camera {number}", text, (bool(camera.trouble), Verdict.WARNING, "", advice))
@@ -58,7 +57,6 @@ def _state(s: StatusReport) -> Finding:
 
 
 def _frames(s: StatusReport) -> Finding | None:
-    """Return the finding on lost, skipped and damaged frames of a running daemon; None before the first frame."""
     if s.frames == 0:
         return None
     produced, described = s.frames + s.dropped + s.skipped + s.damaged, s.source.description
@@ -79,7 +77,6 @@ def _frames(s: StatusReport) -> Finding | None:
 
 
 def _latency(s: StatusReport) -> Finding | None:
-    """Return the finding on the latency in frame intervals; None before anything was sent."""
     ms = s.latency_ms
     if ms is None or ms.p50 is None or ms.p99 is None or s.fps <= 0.0:
         return None

@@ -23,10 +23,7 @@ _MIN_FOUND = 0.5  # of the pictures: a ball before the camera is in view in most
 def tracker_of(
     plan: RunConfig, overrides: CommandLineOverrides, given: Setup | None
 ) -> tuple[WandTracker | None, Finding]:
-    """Return the tracker of a run, or None if its configuration is invalid, and the finding on its balls.
-
-    `given` is the setup of a recording.
-    """
+    """Return the tracker, None if the configuration is invalid, and a finding. `given`: the setup of a recording."""
     try:
         c = config.in_force(overrides.file, overrides.assignments, Configuration)
         balls = read_balls(wand_files(overrides.file, c))
@@ -56,7 +53,6 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
 
 
 def _ball_finding(poses: list[WandPose]) -> Finding:
-    """Return the finding on one ball, from its result in each picture."""
     good = [p for p in poses if p.phase is Status.TRACKING]
     name, events = poses[0].name, [p.event for p in poses if p.event is not None]
     if not good:

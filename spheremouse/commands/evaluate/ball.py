@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,6 @@ from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluation.plot import plot_run
-from spheremouse.evaluation.run import Run
 from spheremouse.evaluation.table import ball_table, consistency, path_notes
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset
@@ -60,7 +58,11 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
             run = _run(each, settings, options, err)
             results += ball_reports(run, each.truth, options.smooth)
             if options.plot_file is not None:
-                _plot(run.history.run(), each.truth, options.plot_file)
+                made = run.history.run()
+                if len(made.tracked) == 0:
+                    raise DatasetError(f"{recording.path}: nothing was tracked, so there is nothing to draw for --plot")
+                assert each.truth.truth is not None
+                plot_run(made, each.truth.truth, options.plot_file)
         except SpheremouseError as e:
             terminal.error(about(recording.path, str(e)))
             failed = True
@@ -90,7 +92,6 @@ def _settings(options: Options) -> Settings:
 
 
 def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
-    """Yield each dataset with rig and map as the options change them."""
     given = None if options.rig_file is None else load_rig(options.rig_file)
     camera = None if options.camera_file is None else load_camera(options.camera_file)
     if options.map_file is not None and settings.tracker != "so3":
@@ -105,7 +106,6 @@ def _tracks(options: Options, settings: Settings) -> Iterator[_Track]:
 
 
 def _with_pose(rig: Rig, recording: Recording, options: Options) -> Rig:
-    """Return the rig with the true pose of its camera, if `--pose known` takes it."""
     if options.pose != "known":
         return rig
     if recording.pose is None:
@@ -133,10 +133,3 @@ def _run(each: _Track, settings: Settings, options: Options, err: Console) -> Ba
     for text in passed_over:
         err.print(f"{about(recording.path, text)} (first frames passed over)", markup=False)
     return run
-
-
-def _plot(run: Run, recording: Recording, path: Path) -> None:
-    assert recording.truth is not None
-    if len(run.tracked) == 0:
-        raise DatasetError(f"{recording.path}: nothing was tracked, so there is nothing to draw for --plot")
-    plot_run(run, recording.truth, path)

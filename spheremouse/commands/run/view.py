@@ -26,10 +26,7 @@ class RunView:
     def __init__(
         self, stack: ExitStack, overlay: Path | None, fps: float | None, *, status: bool, verbose: bool = False
     ) -> None:
-        """Show a `status` line, and write an `overlay` with the frame rate `fps`; `stack` closes both.
-
-        `verbose` prints all details of the camera's pose.
-        """
+        """Show a `status` line, `verbose` details, and write an `overlay` at the rate `fps`; `stack` closes both."""
         self.tally, self._verbose = Tally(), verbose
         self.overlay = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
         self._screen = stack.enter_context(StatusLine(status))

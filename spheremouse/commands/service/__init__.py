@@ -54,7 +54,7 @@ def install(
         raise ServiceError(trouble)
     actions = list(service.install(place, program, allow or ()))
     if dry_run:
-        _would(actions)
+        typer.echo("".join(f"would {action}\n" for action in actions), nl=False)
     else:
         _refuse_without_rights(place, actions, "install")
         for line in service.carry_out(actions, umask=0o077 if user else 0o022):
@@ -87,9 +87,7 @@ def uninstall(
     actions = list(service.uninstall(place, purge))
     live = place.root == _ROOT and _systemd_runs(place)
     if dry_run:
-        _would(actions)
-        if not actions:
-            typer.echo("there is no service")
+        typer.echo("\n".join(f"would {action}" for action in actions) or "there is no service")
         return
     _refuse_without_rights(place, actions, "uninstall")
     if live and actions:
@@ -130,9 +128,6 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
         raise typer.Exit(1)
 
 
-# ---- within ----
-
-
 def _checked_place(root: Path, user: bool) -> Place:
     """Return where to put the files. Raises ServiceError where this user cannot put them."""
     if sys.platform != "linux":
@@ -146,27 +141,13 @@ def _checked_place(root: Path, user: bool) -> Place:
     return place
 
 
-def _again(place: Place, command: str) -> str:
-    """Return a command of this program for the same place, to be copied."""
-    sudo = "" if place.user else "sudo "
-    return f"{sudo}{shutil.which('spheremouse') or service.executable(place)[0]} service {command}" + (
-        " --user" if place.user else ""
-    )
-
-
 def _refuse_without_rights(place: Place, actions: list[service.FileAction], command: str) -> None:
     if actions and not service.may(place):
         given = sys.argv[sys.argv.index(command) + 1 :] if {"service", command} <= set(sys.argv) else []
-        raise ServiceError(
-            f"service: this account may not write below {place.inside(place.unit.parent.parent)}; repeat it with: "
-            f"{_again(place, command)}{''.join(f' {shlex.quote(a)}' for a in given if a != '--user')}"
-        )
-
-
-def _would(actions: list[service.FileAction]) -> None:
-    """Print the actions of a dry run."""
-    for action in actions:
-        typer.echo(f"would {action}")
+        words = [shutil.which("spheremouse") or service.executable(place)[0], "service", command, *given]
+        again = ("" if place.user else "sudo ") + shlex.join(words)
+        folder = place.inside(place.unit.parent.parent)
+        raise ServiceError(f"service: this account may not write below {folder}; repeat it with: {again}")
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:

@@ -1,7 +1,4 @@
-"""Plan and carry out the changes of files that make spheremouse a service of systemd.
-
-All changes are planned as actions first.
-"""
+"""Plan the changes of files that make spheremouse a service of systemd, and carry them out."""
 
 import contextlib
 import os
@@ -45,7 +42,6 @@ class Place:
 
     @property
     def link(self) -> Path:
-        """The symbolic link that makes systemd start the unit."""
         return self.link_of(self.unit)
 
     def link_of(self, unit: Path) -> Path:
@@ -137,7 +133,10 @@ def executable(place: Place) -> tuple[str, str]:
     current = prefix.parent / "current"
     if current.is_symlink() and current.resolve() == prefix.resolve():
         prefix = current
-    scripts = [prefix / "bin", *(Path(sysconfig.get_path("scripts", scheme)) for scheme in _schemes())]
+    scripts = [prefix / "bin"]
+    if sys.prefix == sys.base_prefix:  # pip's schemes outside of a virtual environment, of all users and of one
+        schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
+        scripts += [Path(sysconfig.get_path("scripts", scheme)) for scheme in schemes]
     path = next((p for folder in scripts if (p := folder / "spheremouse").exists()), prefix / "bin" / "spheremouse")
     if not path.exists():
         return str(path), f"{path} does not exist; install spheremouse into a virtual environment: service/install.sh"
@@ -148,26 +147,13 @@ def executable(place: Place) -> tuple[str, str]:
     return str(path), "" if place.user or place.root != Path("/") else _unreadable_reason(path)
 
 
-def _schemes() -> Iterator[str]:
-    """Yield pip's schemes outside of a virtual environment, of all users and of one."""
-    if sys.prefix == sys.base_prefix:
-        yield sysconfig.get_default_scheme()
-        yield sysconfig.get_preferred_scheme("user")
-
-
-def _is_private(path: Path) -> bool:
-    """Return True if a folder above the path is closed to other users."""
-    with contextlib.suppress(OSError):
-        return any(not folder.stat().st_mode & 0o001 for folder in path.resolve().parents)
-    return False
-
-
 def _unreadable_reason(path: Path) -> str:
     """Return why the service's user cannot read the program or its Python, or "". It sees neither homes nor /tmp."""
     hidden = tuple(f"{p}/" for p in _UNREACHABLE)
     python = Path(sys.executable).resolve()
     own = "or make it your own service: spheremouse service install --user"
-    if str(path).startswith(hidden) or str(path.resolve()).startswith(hidden) or _is_private(path):
+    closed = any(not folder.stat().st_mode & 0o001 for folder in path.resolve().parents if os.path.exists(folder))
+    if closed or str(path).startswith(hidden) or str(path.resolve()).startswith(hidden):
         remedy = "sudo bash service/install.sh, in the release's folder, which puts it into /opt/spheremouse"
         if "pipx" in path.resolve().parts:
             remedy = "sudo PIPX_HOME=/opt/pipx PIPX_BIN_DIR=/usr/local/bin pipx install, and the file or name as before"
@@ -195,14 +181,8 @@ def refuse_unsafe(place: Place) -> None:
                 )
 
 
-# ---- plan ----
-
-
 def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[FileAction]:
-    """Yield the actions that are left until the service is in place.
-
-    If network addresses are given in `allow`, they replace those of the last installation.
-    """
+    """Yield the actions that are left until the service is in place. Addresses in `allow` replace earlier ones."""
     fresh = [unit for unit in place.units if not unit.exists()]
     texts = {path: render_file(name, program) for name, path in place.files()}
     if allow:
@@ -316,11 +296,7 @@ def may(place: Place) -> bool:
     return all(os.access(_existing(path.parent), os.W_OK | os.X_OK) for _, path in place.files())
 
 
-# ---- within ----
-
-
 def _existing(folder: Path) -> Path:
-    """Return a folder, or the nearest one above it that exists."""
     return next(p for p in (folder, *folder.parents) if os.path.lexists(p))
 
 

@@ -38,14 +38,8 @@ class TrayError(SpheremouseError):
     """There is no tray for the icon."""
 
 
-# ---- the icon ----
-
-
 class Tray:
-    """The icon for the life of the process. Call `run` from the main thread. The link's thread alone changes the icon.
-
-    `log` takes a line for standard error.
-    """
+    """The icon. Call `run` from the main thread. The link's thread alone changes it. `log` takes a line."""
 
     def __init__(self, socket: Path | None, log: Callable[[str], None]) -> None:
         self._log = log
@@ -141,11 +135,7 @@ class Tray:
 
 
 def _without_digits(items: tuple[tray.Item, ...]) -> list[Any]:
-    """Return texts without digits and actions, to compare menus."""
     return [(strip_digits(i.text), i.action) for i in items]
-
-
-# ---- backends ----
 
 
 def _library() -> tuple[Any, str]:

@@ -55,7 +55,6 @@ class Link:
         self._wake.set()
 
     def _run(self) -> None:
-        """Ask for the status again and again, and show it with a recent note, until the tray closes."""
         client: Client | None = None
         while not self._closing.is_set():
             try:
@@ -73,7 +72,6 @@ class Link:
             self._wake.clear()
 
     def _do(self, action: str) -> None:
-        """Carry out an action of the menu, and show its result or error."""
         try:
             if action == "page":
                 opened = webbrowser.open(page_address(ADDRESS, PORT, token_files()))  # as its owner

@@ -3,6 +3,7 @@
 Each state has a colour, an outline and a sign, so colour-blind people can see the state too.
 """
 
+import math
 import re
 from dataclasses import dataclass, field
 
@@ -19,9 +20,6 @@ _MAX_MENU_LINE = 90  # characters
 _OVERSAMPLING = 4  # for smooth edges
 _INK = (24, 26, 28, 255)
 _PAPER = (255, 255, 255, 255)
-
-
-# ---- status ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +52,12 @@ def _line(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 
-# ---- words ----
-
-
 def headline(v: View) -> str:
     """Return state and reason, the first line of the menu."""
     words = v.state.replace("-", " ")
-    if not v.connected:
-        return _cut(v.reason or words, _MAX_MENU_LINE)
-    return _cut(f"{words}: {v.reason}" if v.reason else words, _MAX_MENU_LINE)
+    if v.reason:
+        words = f"{words}: {v.reason}" if v.connected else v.reason
+    return _cut(words, _MAX_MENU_LINE)
 
 
 def tooltip(v: View) -> str:
@@ -76,9 +71,6 @@ def tooltip(v: View) -> str:
 
 def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1].rstrip() + "…"
-
-
-# ---- the menu ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +103,15 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
     return (*items, Item("Open live page", "page"), SEPARATOR, Item("Quit tray", "quit"))
 
 
-# ---- notices ----
+# s; hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
+_NOTICE_AFTER_S = {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
+_MIN_NOTICE_INTERVAL_S = 300.0
 
 
 @dataclass(slots=True)
 class Notices:
     """Decides when to show a notice: for problems that last, and for each at most every five minutes. Times in s."""
 
-    # Hands and bystanders hide the ball for moments, and an upgrade restarts the daemon
-    after: dict[str, float] = field(
-        default_factory=lambda: {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
-    )
-    min_interval: float = 300.0  # s
     _state: str = ""
     _since: float = 0.0
     _shown: dict[str, float] = field(default_factory=dict)  # time of the last notice of each state
@@ -137,16 +126,14 @@ class Notices:
                 return None
             self._unresolved = False
             return "tracking again"
-        if v.state not in self.after or now - self._since < self.after[v.state]:
+        if now - self._since < _NOTICE_AFTER_S.get(v.state, math.inf):
             return None
         last = self._shown.get(v.state)
-        if last is not None and (last >= self._since or now - last < self.min_interval):
+        if last is not None and (last >= self._since or now - last < _MIN_NOTICE_INTERVAL_S):
             return None
         self._shown[v.state], self._unresolved = now, True
         return headline(v)
 
-
-# ---- icons ----
 
 _TICK = "tick"
 

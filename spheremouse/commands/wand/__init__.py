@@ -1,12 +1,13 @@
 """`spheremouse wand`: films of a hand-held ball with exact truth, and the bounds that select its colours."""
 
 from dataclasses import fields
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.options import with_fields
+from spheremouse.commands.options import parse_numbers, with_fields
 from spheremouse.commands.simulate import write_film
 from spheremouse.errors import ConfigurationError, format_count, os_errors_as
 from spheremouse.simulate.wand.options import WandOptions
@@ -94,11 +95,14 @@ def colours(
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
     if check and out is not None:
         raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
-    show = _shown_at(picture, show)
+    beside = picture.resolve()
+    show = show or beside.parent / f"{beside.name}{_OVERLAY}"
+    if show.suffix.lower() != ".png":
+        raise ConfigurationError(f"--show {show}: must end in .png")
     check_outputs([out], [picture, wand], force=force)
     check_outputs([show], [picture, wand, out], force=force or show.name.endswith(_OVERLAY))
     image = read_picture(picture)
-    circle = None if at is None else Circle(*_circle(at))
+    circle = None if at is None else Circle(*parse_numbers("--at", at, 3, inf, "640,480,25: centre and radius in px"))
     if check:
         picked = check_bounds(image, given.colours, find_ball(image, given.ball) if circle is None else circle)
     else:
@@ -136,15 +140,6 @@ def read_picture(path: Path) -> "NDArray[np.uint8]":
     return image
 
 
-def _shown_at(picture: Path, given: Path | None) -> Path:
-    """Return the path of the overlay: the given one, or beside the picture."""
-    beside = picture.resolve()
-    show = given or beside.parent / f"{beside.name}{_OVERLAY}"
-    if show.suffix.lower() != ".png":
-        raise ConfigurationError(f"--show {show}: must end in .png")
-    return show
-
-
 def _print(picked: "PickedBounds", narrower: bool) -> None:
     """Print the ball's place, its bounds and their selection; with `narrower`, advise also to narrow the bounds."""
     c = picked.circle
@@ -158,11 +153,3 @@ def _print(picked: "PickedBounds", narrower: bool) -> None:
         if name in picked.stray_colours():
             alternative = ", or narrow the bounds" if narrower else ""
             print(f"  much beside the ball is {name}: clear it away, or use another background{alternative}")
-
-
-def _circle(text: str) -> tuple[float, float, float]:
-    try:
-        u, v, radius = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigurationError(f"--at {text}: write the centre and the radius in px, as in 640,480,25") from None
-    return u, v, radius

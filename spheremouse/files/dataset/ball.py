@@ -57,8 +57,6 @@ class Recording(RecordedBall):
     turn: Array  # (3, 3) R_first_obj, true, from the axes of this recording to those of the first camera of a film
 
 
-# ---- scene.json ----
-
 _Vector = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 _Matrix4 = tuple[_Row4, _Row4, _Row4, _Row4]
@@ -88,10 +86,7 @@ class _Scene(SceneEntry):
 
 
 def open_frames(path: Path) -> RecordedBall:
-    """Read the description of a dataset folder as `open_dataset` does, and of its truth the stamps alone.
-
-    A table of discs takes longer to read than all else.
-    """
+    """Read a dataset as `open_dataset` does, but of its truth the stamps alone: a table of discs takes long to read."""
     times, table = None, path / "truth.csv"
     scene = read_description(path, _read_scene)
     if table.exists():
@@ -197,9 +192,6 @@ def _pose(place: str, key: str, matrix: _Matrix4 | None) -> Pose | None:
     return pose_from_matrix(T)
 
 
-# ---- tables ----
-
-
 def _read_truth(path: Path, frames: int) -> Truth:
     table = _read_motion(path, MOTION_COLUMNS, frames)
     attitude = rotations(path, table, MATRIX_COLUMNS)
@@ -215,10 +207,7 @@ def _read_motion(path: Path, columns: tuple[str, ...], frames: int) -> dict[str,
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:
-    """Read discs.csv of a dataset with a number of `frames`. Raises DatasetError if a number is not whole or in range.
-
-    Cells of blob and area may be empty: nan.
-    """
+    """Read discs.csv; nan for empty cells of blob and area. DatasetError: a number is not whole or not in range."""
     table = read_columns(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
     frame, *others = (table[c] for c in ("frame", "disc", "state"))
     if any(map(fractional, (frame, *others))) or np.any((frame < 0) | (frame >= frames)):

@@ -31,10 +31,7 @@ class Stamps:
 
 
 def read_stamps(folder: Path, frames: int) -> Stamps | None:
-    """Read stamps.csv of a dataset with this number of `frames`. Return None without the file.
-
-    Raise DatasetError unless its rows are the frames from 0 on with valid numbers. Stamps (s) may decrease.
-    """
+    """Read stamps.csv, None without it. DatasetError unless its rows are the `frames` from 0 on with valid numbers."""
     path = folder / "stamps.csv"
     if not path.exists():
         return None
@@ -112,9 +109,6 @@ def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Sta
     elif in_video and (file := picture_file(folder, index)).is_file():
         image = read_picture(file, (image.shape[1], image.shape[0]))
     return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))
-
-
-# ---- images ----
 
 
 def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:

@@ -21,10 +21,7 @@ _GREY_CODECS = ("FFV1",)  # OpenCV reads back other grey values from HFYU
 
 
 def _lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], *, colour: bool) -> str | None:
-    """Return the first codec with which OpenCV reproduces a video of noise bit for bit; None if there is none.
-
-    It writes trial files into `folder`. `size` is (width, height) px.
-    """
+    """Return the first codec that keeps a video of noise bit for bit, by trial files in `folder`; None without one."""
     shape = (2, size[1], size[0], 3) if colour else (2, size[1], size[0])
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     expected = images if colour else np.repeat(images[..., None], 3, axis=3)
@@ -78,10 +75,7 @@ class PictureWriter:
         self._waiting: Image | None = None  # first image of a mixed film, until the second shows whether it is grey
 
     def add(self, image: Image) -> None:
-        """Add an image of the writer's size. Raises DatasetError if OpenCV reports at once that it cannot write it.
-
-        OpenCV does not report a full disk; `close` detects it.
-        """
+        """Add an image of the writer's size. DatasetError: OpenCV refuses it at once; `close` detects a full disk."""
         assert image.shape[:2] == (self._size[1], self._size[0])
         if self.written == 0 and self._mixed:
             self._waiting = image.copy()

@@ -58,9 +58,6 @@ class WandRecording(Recorded):
         return self.truths[0] if self.truths else None
 
 
-# ---- scene.json ----
-
-
 class _Camera(CameraEntry):
     dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -96,10 +93,7 @@ def is_wand(path: Path | str) -> bool:
 
 
 def open_wand(path: Path | str) -> WandRecording:
-    """Read and check scene.json, truth.csv and stamps.csv of a wand dataset; no image.
-
-    Raises DatasetError, which names the invalid file.
-    """
+    """Read scene.json, truth.csv and stamps.csv of a wand dataset. DatasetError names the invalid file."""
     path = Path(path)
     scene = read_description(path, _read_scene)
     wands = {"wand": scene.wand} if scene.wands is None else {f"wands.{k}": w for k, w in enumerate(scene.wands)}
@@ -132,9 +126,6 @@ def _wand_ball(place: str, wand: _Wand) -> WandBall:
     return WandBall(wand.name, wand.radius, tuple(discs), wand.body)
 
 
-# ---- truth.csv ----
-
-
 def columns_of(ball: int) -> tuple[str, ...]:
     """Return the columns of a ball's pose in truth.csv."""
     return tuple(name if ball == 0 else f"{name}_{ball}" for name in WAND_COLUMNS[2:])
@@ -150,9 +141,6 @@ def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
         rotation = rotations(path, table, matrix)
         truths.append(WandTruth(table["t"], np.stack([table.pop(c) for c in position], axis=1), rotation))
     return tuple(truths)
-
-
-# ---- writing ----
 
 
 def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict[str, Any]:

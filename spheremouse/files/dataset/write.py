@@ -56,10 +56,7 @@ class DatasetFolder(NamedTuple):
 
 @contextmanager
 def dataset_folder(path: Path | str, scene: Mapping[str, Any], *, replace: bool = False) -> Iterator[DatasetFolder]:
-    """Write a dataset in this block. After an exception or a kill there is none.
-
-    `scene`: the content of scene.json without `frames`. `replace` permits to replace a dataset, and no other.
-    """
+    """Write a dataset, none after an exception. `scene`: scene.json without `frames`; `replace` another dataset."""
     path = Path(path).absolute()
     size = int(scene["width"]), int(scene["height"])
     with new_folder(path, partial(refuse_to_overwrite, replace=replace), DatasetError) as folder, ExitStack() as files:
@@ -100,10 +97,7 @@ class TruthWriter:
 
 
 class FilmWriter:
-    """Writes the frames of a live camera, without truth; `finish` gives the dataset its name.
-
-    Images and stamps read back to the last bit.
-    """
+    """Writes frames of a live camera, bit for bit, without truth; `finish` gives the dataset its name."""
 
     def __init__(self, path: Path, size: tuple[int, int]) -> None:
         """Make a hidden folder, which `finish` renames to `path`. `open` must follow before the first frame.
@@ -172,7 +166,6 @@ class FilmWriter:
 
 
 def _finish_pictures(pictures: PictureWriter, path: Path) -> None:
-    """Close the images of the dataset `path`; DatasetError if there are none, or they cannot be written."""
     if pictures.written == 0:
         raise DatasetError(f"{path}: nothing to write, the recording would have no frame")
     try:

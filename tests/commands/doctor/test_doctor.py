@@ -79,9 +79,6 @@ def a_film(stamps, sequence=None, **changes):
     return replace(Footage(stamps, stamps + 0.01, sequence, (), 30.0, live=True, stamped=True), **changes)
 
 
-# ---- all of it ----
-
-
 def test_the_reference_recording_is_well_and_the_discs_are_those_of_its_truth(far26):
     found = examined(f"source=dataset:{far26}")
     assert {f.verdict for (subject, _), all_ in found.items() if subject in ("camera", "picture") for f in all_} <= {
@@ -158,9 +155,6 @@ def test_a_recording_that_breaks_off_is_used_as_far_as_it_goes(tmp_path, far26):
     assert one(found, "picture", "targets").verdict is OK
 
 
-# ---- the command ----
-
-
 def invoke(*words):
     app = typer.Typer()
     app.command()(command)
@@ -206,9 +200,6 @@ def test_a_terminal_without_colour_or_unicode_is_told_the_same_words():
     assert str(report.summary([section])) == "1 wrong, 1 warning: mend the faults first, from the top"
 
 
-# ---- light ----
-
-
 def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on():
     """The limit is the detector's own: half of the contrast must exceed four standard deviations and a grey value."""
     settings, mask = DiscSettings(), np.full((50, 50), 255, np.uint8)
@@ -227,9 +218,6 @@ def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on(
     assert brightness(dark, 1.0).verdict is brightness(dark, 1.0, NEGATIVE).verdict is WRONG
     dark[20:30, 20:30] = 200  # light discs: of theirs the contrast is a part
     assert (brightness(dark, 1.0).verdict, brightness(dark, 1.0, NEGATIVE).verdict) == (WRONG, OK)
-
-
-# ---- blur ----
 
 
 def test_blur_is_how_far_the_nearest_point_of_the_ball_goes_while_the_shutter_is_open(seen):
@@ -260,9 +248,6 @@ def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
     assert hopeless.verdict is WRONG
     assert "more light" in hopeless.advice
     assert sights.blur(seen, None, settings, known=False).verdict is UNCHECKED
-
-
-# ---- targets, ball, discs ----
 
 
 def test_targets_that_moved_against_the_rig_are_told(far26):
@@ -300,9 +285,6 @@ def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
     assert (seen, told.verdict) == (None, WRONG)
     wide = files.size(rig.camera, 1280, 720)
     assert (wide.verdict, "camera.size: [640, 480]" in wide.advice) == (WRONG, True)
-
-
-# ---- times ----
 
 
 def test_the_rate_is_the_cameras_own_and_what_was_lost_is_counted():
@@ -343,9 +325,6 @@ def test_stamps_that_lie():
     assert (told.verdict, "ahead of the clock" in told.text) == (WARNING, True)
 
 
-# ---- devices ----
-
-
 def test_what_a_camera_does_by_itself_is_a_warning():
     fixed = Controls(0.01, False, False, False, False, 1, False, 30, 100)
     assert {f.verdict for f in camera.controls(fixed)} == {OK}
@@ -365,9 +344,6 @@ def test_what_a_camera_does_by_itself_is_a_warning():
     assert (words["focus"], words["mains"]) == ("fixed, at 30", "filter 50 Hz")
     assert "camera.zoom: 100" in words["zoom"]
     assert camera.controls(Controls())[0].verdict is UNCHECKED
-
-
-# ---- files ----
 
 
 def test_the_rig_and_its_age(tmp_path, far26):
@@ -426,9 +402,6 @@ def test_map_and_recordings_of_the_service_are_where_the_service_keeps_them(tmp_
     assert str(place.state) not in computer.disk(RecordSettings(folder=str(tmp_path)), place.state).text
 
 
-# ---- the daemon ----
-
-
 @pytest.mark.parametrize(
     ("change", "name", "verdict"),
     [
@@ -472,9 +445,6 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     assert (status.version, told.verdict) == ("0.0.1", WARNING)
     status, told = running.ask(path)
     assert (status, told.verdict) == (None, OK)
-
-
-# ---- service and computer ----
 
 
 def test_the_service_and_what_is_missing_of_it(tmp_path, monkeypatch):
@@ -521,8 +491,6 @@ def test_room_memory_and_rights(tmp_path, monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda which: (10, 10))
     assert computer.scheduling(False, status).verdict is OK
 
-
-# ---- privacy ----
 
 USB = "usb-046d_HD_Pro_Webcam_C920_8F2A77BF-video-index0"
 

@@ -94,9 +94,6 @@ def figures(run, reference, found=None, frames=None):
     return report(run, reference, RIG, dataset="d", tracker="so3", frames=frames or len(run.frame), found=found)
 
 
-# ---- errors of the motion ----
-
-
 def test_attitude_errors_are_rotation_vectors_in_obj():
     """Errors that grow from zero are given back exactly, whatever the ball's frame and wherever it has turned to."""
     truth = random_motion(50).attitude
@@ -154,9 +151,6 @@ def test_lost_episodes_are_counted_once_each():
     assert lost_episodes([S, T, L, L, T, L, T]) == 2
     assert lost_episodes([L, T]) == 1
     assert lost_episodes([S, T]) == lost_episodes([]) == 0
-
-
-# ---- detection, pose, time ----
 
 
 def disc_truth(*rows):
@@ -248,8 +242,6 @@ def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
     assert mean_nis(replace(run, nis=None)) is None
     assert mean_nis(replace(run, status=(L,) * 4000)) is None
 
-
-# ---- the report ----
 
 DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "recall_axis", "centre_rms_60_px"]
 KEYS = {
@@ -387,9 +379,6 @@ def test_standard_deviations_that_differ_from_the_errors_are_told_by_their_facto
     ]
 
 
-# ---- the bound ----
-
-
 def batch_covariance(truth, sights, directions):
     """Covariances of the last attitude and rate by one adjustment of everything at once.
 
@@ -491,9 +480,6 @@ def test_bound_ratio_leaves_out_the_first_frame():
     bound.rate[0] = 1e9
     e = np.array([[9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [0.0, 3.0, 0.0]])
     assert bound_ratio(e, e, bound) == pytest.approx({"attitude": 2**0.5, "rate": 0.5**0.5})
-
-
-# ---- the command ----
 
 
 @pytest.fixture(scope="module")
@@ -621,9 +607,6 @@ def test_added_noise_and_brightness():
     assert np.array_equal(a, again)
     (dark,) = degrade(iter(frames[:1]), 0.0, -120.0)
     assert not dark.image.any()
-
-
-# ---- the picture ----
 
 
 @pytest.mark.slow

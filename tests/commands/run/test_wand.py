@@ -144,9 +144,6 @@ def test_a_declared_ball_that_is_never_found_is_told_at_the_end(spheremouse, han
     assert err.splitlines()[-1].startswith(f"spheremouse: dataset:{hand}: no ball like grzonka 2 in view")
 
 
-# ---- what may be wrong ----
-
-
 def refused(result):
     code, _, err = result
     lines = [line for line in err.splitlines() if line.startswith("spheremouse: ")]

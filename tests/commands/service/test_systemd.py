@@ -62,9 +62,6 @@ def home(tmp_path, monkeypatch):
     return path
 
 
-# ---- place and remove ----
-
-
 def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     call("install", root=root)
     once = tree(root)
@@ -196,8 +193,6 @@ def test_without_rights_the_command_to_repeat_is_said(root, monkeypatch):
     assert tree(root) == {}
 
 
-# ---- network addresses ----
-
 NETWORK = f"{UNIT}.d/spheremouse-network.conf"
 
 
@@ -231,9 +226,6 @@ def test_the_service_of_an_account_refuses_addresses_since_it_filters_none(root,
     with pytest.raises(ServiceError, match="has no filter of addresses; leave --allow out"):
         call("install", "--user", "--allow", "10.0.0.1", root=root)
     assert tree(root) == {}
-
-
-# ---- the program's path ----
 
 
 def test_the_unit_starts_the_version_in_use_by_the_link_that_upgrades_move(tmp_path, monkeypatch):
@@ -306,9 +298,6 @@ def test_a_path_that_systemd_would_read_otherwise_is_refused(monkeypatch):
     assert service.executable(Place()) == ("/opt/venv/bin/spheremouse", "")
 
 
-# ---- what is in the files ----
-
-
 def unit(name="systemd/spheremouse.service"):
     return service.render_file(name, "/bin/true")
 
@@ -348,9 +337,6 @@ def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
     given = config.load(root / "etc/spheremouse/config.yaml", Configuration)
     assert (given.source, given.output) == ("v4l2:/dev/video0", "auto")
     assert (given.rig, given.map) == ("/etc/spheremouse/rig.yaml", "/var/lib/spheremouse/rig.map.yaml")
-
-
-# ---- what systemd and udev say ----
 
 
 def judged(*command):

@@ -23,9 +23,6 @@ from spheremouse.session.settings import ControlSettings
 ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
 
 
-# ---- icons ----
-
-
 def grey(state, size, ground):
     """The icon on a panel, seen without colours, levels."""
     picture = np.asarray(tray.icon(state, size), dtype=float)
@@ -55,8 +52,6 @@ def test_each_state_has_its_colour_except_the_two_errors():
     assert (red.outline, red.sign) != (red_too.outline, red_too.sign)
     assert len({(look.outline, look.sign) for look in tray.LOOKS.values()}) == len(STATES)
 
-
-# ---- words and menu ----
 
 statuses = st.fixed_dictionaries(
     {},
@@ -115,9 +110,6 @@ def test_without_a_daemon_the_first_line_names_the_command():
     assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
 
 
-# ---- notices ----
-
-
 def notices_of(transcript):
     """Return times and texts of notices for (time, state) pairs, updated every second."""
     notices, found = Notices(), []
@@ -151,9 +143,6 @@ def test_a_problem_that_returns_is_shown_every_five_minutes():
     times = [t for t, text in notices_of(flapping) if text == "no camera"]
     assert len(times) >= 3
     assert min(np.diff(times)) >= 300
-
-
-# ---- the link ----
 
 
 class Daemon(ControlServer):
@@ -248,9 +237,6 @@ def test_a_pending_reply_delays_no_other_action(world):
         assert daemon.asked == [{"command": "reinit"}, {"command": "pause"}]
         daemon.held[0]({"text": "there"})
         until(lambda: shown[-1][1] == "camera pose estimated again")
-
-
-# ---- backends ----
 
 
 def test_without_a_display_there_is_one_line_and_at_login_no_error(spheremouse, monkeypatch):

@@ -64,9 +64,6 @@ def film_of(stills: Stills) -> Simulation:
     return Simulation(stills.scene, profile, RenderOptions(), profile.seconds, _GESTURE_FPS, stills.seed)
 
 
-# ---- device.yaml ----
-
-
 def device_yaml(stills: Stills) -> str:
     """Return a device.yaml with tape distances that have random errors."""
     scene, targets = stills.scene, stills.scene.targets
