@@ -45,6 +45,9 @@ JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+Cabinet = Annotated[
+    Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
+]
 RigFile = Annotated[
     Path | None, typer.Option("--rig", metavar="FILE", help="The device as calibrated, in place of the recording's.")
 ]

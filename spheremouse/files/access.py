@@ -31,7 +31,9 @@ def access_problem(path: Path) -> tuple[str, str] | None:
             f"{path} may be used by its owner alone",
             "as root: spheremouse service install, which places the udev rules; or unplug it and plug it in again",
         )
-    if group in _groups_of(user):
+    import grp
+
+    if any(g.gr_name == group and user in g.gr_mem for g in grp.getgrall()):
         return (
             f"{path} belongs to the group {group}, and {user} is a member only from the next login on",
             "log out and in again",
@@ -57,12 +59,6 @@ def group_of(path: Path) -> str | None:
         return path.group()
     except (OSError, KeyError, NotImplementedError):
         return None
-
-
-def _groups_of(user: str) -> list[str]:
-    import grp
-
-    return [g.gr_name for g in grp.getgrall() if user in g.gr_mem]
 
 
 def service_files(name: str = "") -> Path:

@@ -118,7 +118,10 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     key = key.strip()
     if not equals or not key:
         raise ConfigurationError(f"{label}{assignment}: not KEY=VALUE; write for example section.name=1.5")
-    value = _single_value(text, f"{label}{key}")
+    try:
+        value = parse_value(text, f"{label}{key}")
+    except ConfigurationError as e:
+        raise ConfigurationError(str(e).replace(f"{label}{key}:1: ", f"{label}{key}: ", 1)) from None
     known = dict(parameters(settings))
     parts: Key = tuple(key.split("."))
     if parts not in known:
@@ -127,10 +130,9 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
         if inside:
             raise ConfigurationError(f"{label}{key}: a section; set one of {', '.join(inside)}")
         raise ConfigurationError(f"{label}{key}: unknown key; {nearest(key, names, CONFIG_SHOW)}")
-    data: Any = value
     for part in reversed(parts):
-        data = {part: data}
-    return _apply(Document(label, data), settings)
+        value = {part: value}
+    return _apply(Document(label, value), settings)
 
 
 def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
@@ -224,7 +226,8 @@ def to_yaml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return value if _is_plain_word(value) else _quote(value)
+        plain = value.isidentifier() and value.isascii() and parse_document(value, "").data == value
+        return value if plain else _quote(value)
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"
     return repr(value)
@@ -236,17 +239,6 @@ def _quote(text: str) -> str:
         return "'" + text.replace("'", "''") + "'"
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
-
-
-def _single_value(text: str, name: str) -> Any:
-    try:
-        return parse_value(text, name)
-    except ConfigurationError as e:
-        raise ConfigurationError(str(e).replace(f"{name}:1: ", f"{name}: ", 1)) from None
-
-
-def _is_plain_word(text: str) -> bool:
-    return text.isidentifier() and text.isascii() and parse_document(text, "").data == text
 
 
 def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) -> Any:
@@ -334,7 +326,8 @@ def _commented_lines(settings: Any, prefix: Key, keys: Collection[str] | None) -
             yield ""
         first = False
         if section:
-            yield from _comment_lines(_summary(type(value)), indent)
+            first_paragraph = (type(value).__doc__ or type(value).__name__).strip().split("\n\n")[0]
+            yield from _comment_lines(" ".join(first_paragraph.split()), indent)
             yield f"{indent}{field.name}:"
             yield from _commented_lines(value, (*prefix, field.name), keys)
             continue
@@ -365,11 +358,6 @@ def _choices(hint: Any) -> Iterator[Any]:
     elif get_origin(hint) in (typing.Union, types.UnionType):
         for a in get_args(hint):
             yield from _choices(a)
-
-
-def _summary(cls: type) -> str:
-    text = (cls.__doc__ or cls.__name__).strip().split("\n\n")[0]
-    return " ".join(text.split())
 
 
 def _comment_lines(text: str, indent: str) -> list[str]:

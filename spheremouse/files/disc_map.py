@@ -64,12 +64,13 @@ class MapFile(LandmarksFile):
 
 
 def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]:
+    weights = (f"{weight:.6f}" for weight in disc_map.projection.weights)
     return [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
         "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
         *header,
         f"disc_radius: {float(disc_radius)!r}  # m, along the surface",
-        *_weights_line(disc_map.projection),
+        *([] if disc_map.projection == GREY else [f"weights: [{', '.join(weights)}]  # of blue, green and red: so the discs are darker"]),
         *landmark_lines(disc_map),
     ]
 
@@ -87,13 +88,6 @@ def landmark_lines(disc_map: DiscMap) -> list[str]:
     for i, row in enumerate(np.rint(_UNIT * root).astype(int).tolist()):
         lines.append(f'  - "{" ".join(map(str, row[: i + 1]))}"')
     return lines
-
-
-def _weights_line(projection: Projection) -> list[str]:
-    if projection == GREY:
-        return []
-    blue, green, red = projection.weights
-    return [f"weights: [{blue:.6f}, {green:.6f}, {red:.6f}]  # of blue, green and red: so the discs are darker"]
 
 
 def _factor(covariance: Array) -> tuple[Array, Array]:
@@ -120,7 +114,9 @@ def landmarks(file: LandmarksFile) -> DiscMap:
     """Return the directions of a file without problems, and their covariance."""
     directions = np.array([d.direction for d in file.discs])
     sigma = np.array([d.sigma for d in file.discs]).ravel()
-    root = _root(file)
+    root = np.zeros((len(file.correlation_root),) * 2)
+    for i, text in enumerate(file.correlation_root):
+        root[i, : i + 1] = np.array(text.split(), dtype=float)
     root /= np.linalg.norm(root, axis=1, keepdims=True)
     return DiscMap(
         directions / np.linalg.norm(directions, axis=1, keepdims=True),
@@ -155,10 +151,3 @@ def _projection(weights: tuple[float, float, float]) -> Projection:
     """Return the projection of a file; grey and its negative are exact, since grey images show both."""
     found = normalise(np.array(weights))
     return next((p for p in (GREY, NEGATIVE) if np.allclose(p.weights, found.weights, rtol=0.0, atol=1e-5)), found)
-
-
-def _root(file: LandmarksFile) -> Array:
-    root = np.zeros((len(file.correlation_root),) * 2)
-    for i, text in enumerate(file.correlation_root):
-        root[i, : i + 1] = np.array(text.split(), dtype=float) / _UNIT
-    return root

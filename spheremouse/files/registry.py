@@ -47,10 +47,9 @@ def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseErro
 
 def probe(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> list[Finding]:
     """Return the findings of the module's `probe`, if it has one, without disturbing a run. Raises as `check` does."""
-    module, argument = resolve(package, what, spec, error)
     check(package, what, spec, error)
-    examine: Callable[[str], list[Finding]] | None = getattr(module, "probe", None)
-    return [] if examine is None else examine(argument)
+    module, argument = resolve(package, what, spec, error)
+    return module.probe(argument) if hasattr(module, "probe") else []
 
 
 def open_spec(

@@ -11,7 +11,7 @@ from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import write_json
 
-EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
+EXAMPLE = "board/ --board 11x8 --square 86mm --out camera.yaml"
 
 _TERMS = (0, 2, 4, 5)
 _ALL_TERMS = 5
@@ -46,7 +46,7 @@ def camera(
     from spheremouse.files.rig import save_camera
 
     if not photos:
-        raise CalibrationError(f"the command needs photos and a board. {EXAMPLE[0].lower()}{EXAMPLE[1:]}")
+        raise CalibrationError(f"the command needs photos and a board. example: spheremouse calibrate camera {EXAMPLE}")
     folder = photos[0] if photos[0].is_dir() else photos[0].parent
     if square is None and not (folder.parent / NAME).is_file():
         raise CalibrationError(

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
 
-EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
-
 _PROGRESS_STEPS = 100
 
 

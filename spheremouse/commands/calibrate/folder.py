@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from spheremouse.commands.options import JsonFile
+from spheremouse.commands.options import Cabinet, JsonFile
 from spheremouse.commands.terminal import table_console
 from spheremouse.errors import CalibrationError, ConfigurationError, os_errors_as
 
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from spheremouse.calibrate.guide.checklist import Step
-
-INIT_EXAMPLE, NEXT_EXAMPLE = (f"Example: spheremouse calibrate {name} cabinet" for name in ("init", "next"))
 
 _STYLES = {"done": "green", "too few": "yellow", "not needed": "dim", "next": "bold yellow", "later": "dim"}
 
@@ -50,9 +48,7 @@ def init(
 
 
 def next_(
-    folder: Annotated[
-        Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
-    ] = None,
+    folder: Cabinet = None,
     json_file: JsonFile = None,
 ) -> None:
     """Show how far a calibration is, and the next step with its command.

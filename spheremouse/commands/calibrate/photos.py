@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from spheremouse.commands.options import Corners, Dictionary, Marker, Square
+from spheremouse.commands.options import Cabinet, Corners, Dictionary, Marker, Square
 from spheremouse.errors import CalibrationError, format_count
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from spheremouse.capture import Source
     from spheremouse.files.pictures import Size
     from spheremouse.session.settings import Configuration
-
-EXAMPLE = "Example: spheremouse calibrate photos cabinet --for camera --source v4l2:/dev/video0"
 
 _MAX_SIZE = (1920, 1080)  # px; larger pictures cost time in every frame of play, and their edges are no sharper
 _MIN_PHOTOS = {"camera": 3, "device": 2}  # for the next command
@@ -28,9 +26,7 @@ def photos(
         Literal["camera", "device"],
         typer.Option("--for", help="Photos of the board, for the camera; or of the device.", show_default=False),
     ],
-    folder: Annotated[
-        Path | None, typer.Argument(metavar="[FOLDER]", help="Folder from `calibrate init`.  [default: cabinet]")
-    ] = None,
+    folder: Cabinet = None,
     source: Annotated[
         str | None,
         typer.Option(metavar="KIND:ARG", help="The camera, as `run --source`.  [default: as configured; the first]"),

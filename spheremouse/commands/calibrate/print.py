@@ -10,8 +10,6 @@ import typer
 from spheremouse.errors import CalibrationError
 from spheremouse.files.safe_files import replace
 
-EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
-
 _MIN_LENGTH, _MAX_LENGTH = 0.5, 1000.0  # mm, of printed shapes
 
 

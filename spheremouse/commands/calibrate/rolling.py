@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from spheremouse.calibrate.rolling.footage import FrameBuffer
     from spheremouse.calibrate.rolling.rig import RollingCalibration
 
-EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
-
 _GESTURE_SECONDS = 5.0
 _PAUSE_SECONDS = 3.0  # before each gesture
 

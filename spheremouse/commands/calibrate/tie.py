@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from spheremouse.calibrate.tie import AttitudeTrack
     from spheremouse.session.run_config import RunConfig
 
-EXAMPLE = "Example: spheremouse calibrate tie --source v4l2:0 --rig a.yaml --source v4l2:2 --rig b.yaml --out tied.yaml"
-
 _LIVE_SECONDS = 60.0
 _MAX_LAG_S = 0.002  # s; a hand turns the ball by half a degree in it
 

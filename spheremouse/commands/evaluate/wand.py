@@ -12,7 +12,7 @@ from spheremouse.evaluation.table import consistency, wand_table
 from spheremouse.evaluation.wand import WandHistory
 from spheremouse.files import config
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.dataset.wand import WandRecording, open_wand
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.evaluate import run_wand, wand_reports
 from spheremouse.session.offline import Known
@@ -21,7 +21,6 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import sentence
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.build import build
-from spheremouse.wand.state import WandTracker
 
 _NO_TRUTH = "no truth.csv: no errors are known; the table has the frames tracked and times"
 _MAX_EVENTS = 10  # printed of the first run
@@ -51,7 +50,12 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
             if options.pose == "known":
                 truths = recording.truths[: len(balls)]
                 known = {k: (truth.position[0], truth.rotation[0]) for k, truth in enumerate(truths)}
-            histories = [_run(recording, tracker, seed, known) for seed in range(1, options.runs + 1)]
+            histories: list[WandHistory] = []
+            for seed in range(1, options.runs + 1):
+                with terminal.progress_bar() as progress:
+                    text = f"{recording.name}, seed {seed}"
+                    frames = progress.track(read_frames(recording), recording.frames, description=text)
+                    histories.append(run_wand(frames, tracker, seed, known))
         except SpheremouseError as e:
             terminal.error(about(recording.path, str(e)))
             failed = True
@@ -67,13 +71,6 @@ def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[d
             for line in [line for each in (result, *result.get("more_balls", ())) for line in consistency(each)]:
                 out.print(line, markup=False)
     return results, failed
-
-
-def _run(recording: WandRecording, tracker: WandTracker, seed: int, known: Known | None) -> WandHistory:
-    with terminal.progress_bar() as progress:
-        description = f"{recording.name}, seed {seed}"
-        frames = progress.track(read_frames(recording), recording.frames, description=description)
-        return run_wand(frames, tracker, seed, known)
 
 
 def _never_found(balls: Sequence[WandBall], histories: Sequence[WandHistory]) -> Iterator[str]:

@@ -37,11 +37,7 @@ def _templates(package: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["worded"] = _with_code_spans
+    environment.filters["worded"] = lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
     environment.filters["svg"] = style.of_figure
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
     return environment
-
-
-def _with_code_spans(text: str) -> Markup:
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))

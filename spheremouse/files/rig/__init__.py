@@ -21,7 +21,6 @@ from spheremouse.files.rig.models import (
     CameraFile,
     CameraPart,
     RigFile,
-    Vector3,
     block_diagonal,
     matrix,
     targets_covariance,
@@ -42,6 +41,7 @@ def load_rig(path: Path) -> Rig:
     document, file = read_checked(path, RigFile, "rig")
     if problems := [*camera_problems(file.camera), *rig_problems(file)]:
         raise document.error(problems)
+    discs = np.array(file.discs)
     return Rig(
         camera=_interior(file.camera),
         ball=Ball(file.ball.radius, np.array(file.ball.center), matrix(file.ball.covariance, 4)),
@@ -58,7 +58,7 @@ def load_rig(path: Path) -> Rig:
         readout_sigma_s=UNKNOWN_READOUT if file.readout_s is None else 0.0,
         exposure_s=file.exposure_s,
         pose=_pose(file),
-        disc_directions=_unit_rows(file.discs) if file.discs else None,
+        disc_directions=discs / np.linalg.norm(discs, axis=1, keepdims=True) if file.discs else None,
         cross_covariance=None if file.targets_ball_covariance is None else np.array(file.targets_ball_covariance),
         scale_free=file.scale == "free",
     )
@@ -183,8 +183,3 @@ def _pose(file: RigFile) -> Pose | None:
     pose = pose_from_matrix(matrix(file.T_obj_cam, 4), matrix(file.pose_covariance, 6))
     pose = dataclasses.replace(pose, ball_covariance=matrix(file.pose_ball_covariance, 6, 4))
     return found_from_picture(pose, np.array(file.ball.center))
-
-
-def _unit_rows(vectors: tuple[Vector3, ...]) -> Array:
-    v = np.array(vectors)
-    return v / np.linalg.norm(v, axis=1, keepdims=True)

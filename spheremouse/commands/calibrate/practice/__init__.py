@@ -15,8 +15,6 @@ from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError, format_count
 from spheremouse.simulate.ball.options import StillsOptions
 
-EXAMPLE = "Example: spheremouse calibrate practice trial --photos 8 --seed 1"
-
 _PARTS = ("board", "board.yaml", "device", "device.yaml", "film", "truth.json")
 
 
