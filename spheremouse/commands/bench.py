@@ -1,7 +1,4 @@
-"""`spheremouse bench`: measure the time of the tracker's step on this machine, on one thread, for many steps in a row.
-
-A tracker that has lost the ball is fast, so the figures also have the steps in which it was tracked.
-"""
+"""`spheremouse bench`: measure the time of the tracker's step on this machine, on one thread, for many steps."""
 
 import gc
 import time

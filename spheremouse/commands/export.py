@@ -28,7 +28,7 @@ def export(
     from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.commands.track import of_recording
-    from spheremouse.files.safe_files import NewFile
+    from spheremouse.files.safe_files import new_file
     from spheremouse.session import offline
     from spheremouse.session.mcap import McapWriter, sdk
     from spheremouse.session.run_config import read_run_config
@@ -44,8 +44,8 @@ def export(
     source = setup.source
     assert source is not None
     with os_errors_as(ConfigurationError, f"{out}: cannot be written"):
-        with NewFile(out) as new, source, progress_bar() as progress:
-            writer = McapWriter(new.file, describe_run(plan))
+        with new_file(out) as file, source, progress_bar() as progress:
+            writer = McapWriter(file, describe_run(plan))
             adapter = setup.adapter(plan, writer.log, here)
             frames = adapter.begin(iter(progress.track(source, source.count, description="exporting")))
             offline.follow(offline.results(frames, adapter), adapter, {}, writer)

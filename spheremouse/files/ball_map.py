@@ -1,7 +1,4 @@
-"""Write and read the map of a ball, a file beside the rig that makes the next run's attitude absolute.
-
-It holds the discs (`disc_map`) or a picture of the pattern (`picture_map`). The reader rejects a damaged file.
-"""
+"""Write and read the map of a ball, beside its rig: discs (`disc_map`) or a picture of the pattern (`picture_map`)."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime

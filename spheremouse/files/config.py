@@ -1,8 +1,4 @@
-"""Read a configuration file into settings, and write settings as YAML.
-
-The settings dataclasses are the schema. Their fields (`settings.param`) have unit, meaning and bounds. A file has only
-the values that differ from the defaults. `override` applies one `--set KEY=VALUE`.
-"""
+"""Read a configuration file into settings, and write settings as YAML. The settings dataclasses are the schema."""
 
 import dataclasses
 import functools

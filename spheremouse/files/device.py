@@ -1,8 +1,4 @@
-"""Read device.yaml, a person's description and tape measurements of a device, in metres.
-
-The reader rejects lengths that only make sense in mm or cm, and repeated ids and codes, each with its line and remedy.
-The calibration reports distances that contradict each other or the photos.
-"""
+"""Read device.yaml, a person's description and tape measurements of a device, in metres."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -64,13 +64,14 @@ class MapFile(LandmarksFile):
 
 
 def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]:
-    weights = (f"{weight:.6f}" for weight in disc_map.projection.weights)
+    weights = ", ".join(f"{weight:.6f}" for weight in disc_map.projection.weights)
+    of_colours = [f"weights: [{weights}]  # of blue, green and red: so the discs are darker"]
     return [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
         "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
         *header,
         f"disc_radius: {float(disc_radius)!r}  # m, along the surface",
-        *([] if disc_map.projection == GREY else [f"weights: [{', '.join(weights)}]  # of blue, green and red: so the discs are darker"]),
+        *(of_colours if disc_map.projection != GREY else []),
         *landmark_lines(disc_map),
     ]
 

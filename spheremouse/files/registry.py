@@ -1,9 +1,7 @@
 """Open a source or an output that is named as `KIND:ARGUMENT`; a kind is a module of a package, or a plug-in.
 
-To add one, write a module with a function `open` and put its name into the package's `KINDS`. A function `check` may
-report mistakes in the argument without opening anything. A function `probe` may return findings about the device.
-Another distribution adds a module by an entry point in the group `spheremouse.source` or `spheremouse.output`. Only the
-module that is needed is imported.
+The module has a function `open`. Its `check` may report mistakes in the argument without opening anything, and its
+`probe` may return findings about the device. Modules of a package are in its `KINDS`; docs/plugins.md has plug-ins.
 """
 
 import importlib

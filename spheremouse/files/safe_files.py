@@ -1,12 +1,10 @@
 """Read files of strangers with limits, and write files and folders whole or not at all.
 
-To read, open a regular file. The functions limit the bytes of a file and the length of a line. They report each
-refusal as an OSError. Its `strerror` has problem and remedy in one line.
+The readers open regular files alone, with limits for bytes and lines. A refusal is an OSError whose `strerror` has
+problem and remedy in one line.
 
-To write, the functions write under a hidden name beside the place and then rename. At any moment the old file or the
-new one is there. If a killed process left a hidden file, the next write of that file removes it
-when it has the age MIN_LEFTOVER_AGE_S. The functions write to a stream, device or pipe that a user gives
-(`/dev/null`, a named pipe), and never replace it.
+The writers write under a hidden name beside the place and then rename, so at any moment the old file or the new one is
+there. They write to a stream, device or pipe that a user gives (`/dev/null`, a named pipe), and never replace it.
 
 Root refuses to write into a folder that another user may change, since that user could put a link there. The user who
 called sudo counts as root.
@@ -24,10 +22,10 @@ import stat
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from io import BufferedReader, BufferedWriter, TextIOWrapper
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from spheremouse.errors import ConfigurationError, SpheremouseError, os_errors_as
 
@@ -71,13 +69,11 @@ def open_to_read(path: Path) -> BufferedReader:
 
 def lines(file: BufferedReader) -> Iterator[str]:
     """Yield the lines of a UTF-8 table with their ends; OSError for an endless line, or a quote that does not end."""
-    text, number = TextIOWrapper(file, encoding="utf-8-sig", newline=""), 0
-    while line := text.readline(MAX_LINE_CHARACTERS + 1):
-        number += 1
+    text = TextIOWrapper(file, encoding="utf-8-sig", newline="")
+    for number, line in enumerate(iter(partial(text.readline, MAX_LINE_CHARACTERS + 1), ""), 1):
         if len(line) > MAX_LINE_CHARACTERS:
-            raise OSError(
-                errno.EINVAL, f"line {number} is longer than {MAX_LINE_CHARACTERS} characters; is it a table?"
-            )
+            problem = f"line {number} is longer than {MAX_LINE_CHARACTERS} characters; is it a table?"
+            raise OSError(errno.EINVAL, problem)
         if line.count('"') % 2:
             raise OSError(errno.EINVAL, f"line {number} has a quote that does not end; numbers need none")
         yield line
@@ -90,13 +86,8 @@ def open_to_append(path: Path) -> BufferedWriter:
 
 def is_stream(path: Path) -> bool:
     """Return whether the path is a stream of this program, a device or a pipe."""
-    if _STREAM.fullmatch(str(path)):
-        return True
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    other_kind = os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))
+    return other_kind or _STREAM.fullmatch(str(path)) is not None
 
 
 def replace(path: Path, data: bytes, mode: int | None = None) -> None:
@@ -105,8 +96,8 @@ def replace(path: Path, data: bytes, mode: int | None = None) -> None:
     Without a `mode`, the new file takes mode and owner of the old one. Without an old file the umask sets the mode.
     """
     try:
-        with NewFile(path, mode) as new:
-            new.file.write(data)
+        with new_file(path, mode) as file:
+            file.write(data)
     except OSError as e:
         e.filename = str(path)  # not the hidden name
         raise
@@ -137,58 +128,35 @@ def write_json(path: Path, data: Any) -> bool:
     return False
 
 
-class NewFile:
-    """A file under a hidden name beside its place; `finish` gives it its name, `discard` removes it."""
+@contextlib.contextmanager
+def new_file(path: Path, mode: int | None = None) -> Iterator[BufferedWriter]:
+    """Open a file under a hidden name in this block; at its end it gets its name, or is removed after an exception.
 
-    def __init__(self, path: Path, mode: int | None = None) -> None:
-        """Make the hidden file. `mode`: see `replace`. OSError: a device or pipe, or no file can be made."""
-        if is_stream(path):
-            raise OSError(errno.EINVAL, "is a device or pipe; name a file")
-        refuse_shared_folder(path.parent)
-        self._path = path
-        self._old = None if mode is not None else _regular(path)
-        self._mode = mode if self._old is None else stat.S_IMODE(self._old.st_mode) & 0o777
-        self._hidden: Path | None = _hidden_name(path, ".new")
-        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _OPEN_FLAGS
-        descriptor = os.open(self._hidden, flags, 0o666 if self._mode is None else 0o600)
-        self.file: BufferedWriter = os.fdopen(descriptor, "wb")
-
-    def finish(self) -> None:
-        """Give the file its name, once all of it is on the disk."""
-        assert self._hidden is not None
-        self.file.flush()
-        descriptor = self.file.fileno()
-        if self._old is not None and hasattr(os, "fchown"):
-            with contextlib.suppress(OSError):  # only root may give files away
-                os.fchown(descriptor, self._old.st_uid, self._old.st_gid)
-        if self._mode is not None and hasattr(os, "fchmod"):
-            os.fchmod(descriptor, self._mode)
-        os.fsync(descriptor)
-        self.file.close()
-        os.replace(self._hidden, self._path)
-        self._hidden = None
-        _clear_left(self._path)
-
-    def discard(self) -> None:
-        """Remove the file, unless it has its name."""
-        with contextlib.suppress(OSError):
-            self.file.close()
-        if self._hidden is not None:
-            with contextlib.suppress(OSError):
-                self._hidden.unlink()
-            self._hidden = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self.finish()
-        finally:
-            self.discard()
+    `mode`: see `replace`. Raises OSError for a device or pipe, or if no file can be made.
+    """
+    if is_stream(path):
+        raise OSError(errno.EINVAL, "is a device or pipe; name a file")
+    refuse_shared_folder(path.parent)
+    old = path.stat() if mode is None and os.path.isfile(path) else None
+    mode = mode if old is None else stat.S_IMODE(old.st_mode) & 0o777
+    hidden = _hidden_name(path, ".new")
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _OPEN_FLAGS
+    descriptor = os.open(hidden, flags, 0o666 if mode is None else 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
+            file.flush()
+            if old is not None and hasattr(os, "fchown"):
+                with contextlib.suppress(OSError):  # only root may give files away
+                    os.fchown(descriptor, old.st_uid, old.st_gid)
+            if mode is not None and hasattr(os, "fchmod"):
+                os.fchmod(descriptor, mode)
+            os.fsync(descriptor)
+        os.replace(hidden, path)
+        _clear_left(path)
+    finally:
+        with contextlib.suppress(OSError):  # it has its name
+            hidden.unlink()
 
 
 def _clear_left(path: Path) -> None:
@@ -309,11 +277,3 @@ def _open_to_write(path: Path, flags: int) -> int:
 
 def _hidden_name(path: Path, ending: str = "") -> Path:
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}{ending}")
-
-
-def _regular(path: Path) -> os.stat_result | None:
-    try:
-        found = path.stat()
-    except FileNotFoundError:
-        return None
-    return found if stat.S_ISREG(found.st_mode) else None

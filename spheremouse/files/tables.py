@@ -1,8 +1,4 @@
-"""Read tables of numbers from csv files with a header, with a limit of rows.
-
-A number takes 8 bytes, so a table takes at most 400 MB. That is enough for the stamps of a day at 120 frames per
-second, or for 50 discs in an hour.
-"""
+"""Read tables of numbers from csv files with a header. A number takes 8 bytes, so a table takes at most 400 MB."""
 
 import csv
 import math

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.errors import OutputError
-from spheremouse.files.safe_files import NewFile, is_stream, open_to_append
+from spheremouse.files.safe_files import is_stream, new_file, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
 from spheremouse.output.extras import import_extra
@@ -78,7 +78,7 @@ def move_part(part: Path, path: Path) -> None:
         except pa.ArrowInvalid:  # its head is cut, and no row was written
             stream = None
         if stream is not None:
-            with NewFile(path) as new, pq.ParquetWriter(new.file, stream.schema) as table:
+            with new_file(path) as new, pq.ParquetWriter(new, stream.schema) as table:
                 if path.exists():
                     for batch in pq.ParquetFile(path).iter_batches():
                         table.write_batch(batch)

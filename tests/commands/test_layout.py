@@ -2,24 +2,21 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
 from conftest import directions
 from elements import Elements
+from invoking import fail, succeed
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from spheremouse.calibrate.layout.choose import choose_directions, min_in_view, nearest, on_the_tape, places
 from spheremouse.commands import app
-from spheremouse.errors import CalibrationError, ConfigurationError
 
 VIEW = np.radians(70.0)
-
-
-def run(*words):
-    return CliRunner().invoke(app, ["layout", *map(str, words)], catch_exceptions=False)
+run = partial(succeed, app, "layout")
 
 
 @pytest.mark.parametrize("n", [4, 12, 26])
@@ -70,14 +67,13 @@ def test_a_guide_is_whole_and_no_other_replaces_it_without_force(tmp_path):
     found = json.loads(file)
     polar = np.arccos(np.array(found["directions"])[:, 2])
     assert_allclose(600.0 * polar, [place["from_pole"] for place in found["places_mm"]], atol=0.01)
-    with pytest.raises(CalibrationError, match=r"there already.*--force"):
-        run("--discs", 12, "--seed", 1, "--out", folder)
+    assert "there already" in fail(app, "layout", "--discs", 12, "--seed", 1, "--out", folder)
     assert (folder / "guide.html").read_text() == page
     run("--discs", 12, "--seed", 1, "--out", folder, "--force")
     assert (folder / "guide.html").read_text() != page
 
 
 def test_discs_too_large_for_the_ball_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="take fewer or smaller discs"):
-        run("--discs", 100, "--disc-radius", 0.2, "--out", tmp_path)
+    said = fail(app, "layout", "--discs", 100, "--disc-radius", 0.2, "--out", tmp_path)
+    assert "take fewer or smaller discs" in said
     assert not list(tmp_path.iterdir())

@@ -253,7 +253,7 @@ def test_a_truncated_recording_is_tracked_as_far_as_it_goes(spheremouse, images,
         (["--output", "txt:-"], "unknown output 'txt:-'; did you mean text?\n"),
         (["--map", "nowhere/m.yaml"], "nowhere/m.yaml: no such folder; name a place for the map with --map, "),
         (["--no-map", "--map=m.yaml"], "--map and --no-map: give one of the two"),
-        (["--overlay", "nowhere/seen.mkv"], "nowhere/seen.mkv: cannot be written: "),
+        (["--overlay", "nowhere/seen.mkv"], "nowhere/seen.mkv: there is no folder nowhere; "),
     ],
     ids=lambda p: p[-1] if isinstance(p, list) else "",
 )

@@ -121,9 +121,3 @@ def test_a_link_is_not_replaced_by_a_file(tmp_path, file):
         save_settings(link, SEAT, Configuration)
     assert link.is_symlink()
     assert file.read_text() == MINE
-
-
-def test_a_folder_that_is_missing_is_said_in_a_line(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"no/config.yaml: cannot be written: there is no folder") as refused:
-        save_settings(tmp_path / "no" / "config.yaml", SEAT, Configuration)
-    assert "\n" not in str(refused.value)

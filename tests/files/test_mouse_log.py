@@ -95,13 +95,10 @@ def sysfs(tmp_path):
     return tmp_path
 
 
-def test_mice_are_what_has_relative_x_and_y_in_the_order_of_their_numbers(sysfs, tmp_path):
-    found = mice(sysfs, tmp_path / "dev")
-    assert [(m.node.name, m.name) for m in found] == [("event2", "Logitech Mouse"), ("event10", "USB Trackball")]
-
-
-def test_one_is_chosen_by_path_or_name_or_because_there_is_no_other(sysfs, tmp_path):
+def test_one_of_the_mice_is_chosen_by_path_or_name_or_because_there_is_no_other(sysfs, tmp_path):
+    """Mice are what has relative X and Y, in the order of their numbers."""
     found = mice(sysfs, sysfs)
+    assert [(m.node.name, m.name) for m in found] == [("event2", "Logitech Mouse"), ("event10", "USB Trackball")]
     assert choose("track", found).name == "USB Trackball"
     assert choose(str(sysfs / "event2"), found).name == "Logitech Mouse"
     (tmp_path / "link").symlink_to(sysfs / "event10")

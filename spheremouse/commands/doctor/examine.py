@@ -1,7 +1,4 @@
-"""`spheremouse doctor`: check everything from the camera to the pointer, and change nothing.
-
-Each subject is a module of small functions that return findings. Here is their order. A check that fails ends no other.
-"""
+"""`spheremouse doctor`: the order of all checks. A check that fails ends no other."""
 
 import sys
 from collections.abc import Callable, Iterator

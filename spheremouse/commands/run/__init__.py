@@ -200,19 +200,14 @@ def run_plan(
 
 
 def _refuse_loss(overlay: Path, plan: "RunConfig", given: tuple[Path | None, ...]) -> None:
-    """Raise ConfigurationError if the overlay would replace another file that the run reads or writes."""
+    """Raise CalibrationError if the overlay would replace another file that the run reads or writes."""
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.output import file_of
 
     sources = [Path(path) for each in plan.cameras if (path := each.source.partition(":")[2])]
-    rigs = (each.rig_path for each in plan.cameras)
-    others = [path for path in (*given, *rigs, plan.camera_path, plan.map_path) if path is not None]
-    others += [file for spec in plan.outputs if (file := file_of(spec)) is not None]
-    others += sources
-    target = overlay.resolve()
-    if any(target == other.resolve() for other in others):
-        raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
-    if overlay.exists() and any(source.resolve() in target.parents for source in sources):
-        raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
+    inputs = [*given, *(each.rig_path for each in plan.cameras), plan.camera_path, plan.map_path]
+    inputs += [*map(file_of, plan.outputs), *sources, *(source / "frames" for source in sources)]
+    check_outputs([overlay], inputs, force=True)
 
 
 def serve(

@@ -1,9 +1,7 @@
 """Show the daemon's state in the desktop's tray with pystray, and send the actions of the menu.
 
-The process reaches the daemon by its control socket alone, and continues when the daemon ends. The desktop's thread
-never waits: `link` polls the daemon in one thread and runs each action in another. `view` selects the displayed values.
-
-pystray has two backends with a menu on Linux, `appindicator` and `gtk`, which need PyGObject.
+The desktop's thread never waits: `link` polls the daemon in one thread and runs each action in another. pystray has two
+backends with a menu on Linux, `appindicator` and `gtk`, which need PyGObject.
 """
 
 import contextlib

@@ -1,7 +1,4 @@
-"""Turn the daemon's status into icon, tooltip, menu and notices of the tray. No desktop and no thread is needed.
-
-Each state has a colour, an outline and a sign, so colour-blind people can see the state too.
-"""
+"""Turn the daemon's status into icon, tooltip, menu and notices of the tray, without a desktop or a thread."""
 
 import math
 import re

@@ -1,8 +1,4 @@
-"""Read recordings: folders with the description of a device, the frames, and perhaps the truth.
-
-`open_dataset` reads one with its truth, `open_frames` without, and `frames.read_frames` its frames.
-`write.dataset_folder` writes one. docs/datasets describes the format.
-"""
+"""Read recordings of a ball in its frame, with truth (`open_dataset`) or without (`open_frames`): docs/datasets.md."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

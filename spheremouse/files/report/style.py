@@ -1,7 +1,4 @@
-"""Style of figures: matplotlib with `light.mplstyle` and `dark.mplstyle`, the colours, and figures as `<svg>` elements.
-
-A page in HTML has a variable for each colour, which is lighter if the screen is dark.
-"""
+"""Style of figures: matplotlib with `light.mplstyle` and `dark.mplstyle`, the colours, and figures as `<svg>`."""
 
 import io
 import math

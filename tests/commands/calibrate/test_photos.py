@@ -1,8 +1,10 @@
 """Photos taken for a calibration, and the device file that nobody filled in."""
 
 import json
+import re
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -10,13 +12,14 @@ import numpy as np
 import pytest
 from boards import CAMERA, picture, places
 from conftest import datasets_dir
+from invoking import refusal
 from typer.testing import CliRunner
 
 from spheremouse.calibrate.board import NAME, Pattern, load_board
 from spheremouse.calibrate.camera import coverage
 from spheremouse.calibrate.photographing import board as photographing
 from spheremouse.commands import app
-from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
+from spheremouse.errors import SpheremouseError
 from spheremouse.files.config import load
 from spheremouse.files.device import device_template
 from spheremouse.files.rig import load_camera, save_camera
@@ -34,6 +37,9 @@ def poses():
 
 def run(*words, command="photos"):
     return CliRunner().invoke(app, ["calibrate", command, *map(str, words)], catch_exceptions=False)
+
+
+refused = partial(refusal, SpheremouseError, run)
 
 
 def film(path, poses):
@@ -91,8 +97,7 @@ def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, source):
 
 def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, source):
     shown = tmp_path / "shown.jpg"
-    with pytest.raises(CalibrationError, match="--json"):
-        run("--for", "camera", tmp_path, *BOARD, "--source", source, "--picture", shown)
+    assert "--json" in refused("--for", "camera", tmp_path, *BOARD, "--source", source, "--picture", shown)
     result = run("--for", "camera", tmp_path, *BOARD, "--source", source, "--json", "--picture", shown)
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     checks, texts = [line for line in lines if "check" in line], [line["text"] for line in lines if "text" in line]
@@ -106,38 +111,38 @@ def test_a_program_gets_each_check_as_json_with_its_picture(tmp_path, source):
 def test_a_film_that_breaks_off_keeps_its_photos_and_says_so(tmp_path, source):
     whole = Path(source.removeprefix("video:")).read_bytes()
     (tmp_path / "f.mkv").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SourceError, match=r"truncated or damaged there; \d photos? in .* kept, and the same command"):
-        run("--for", "camera", tmp_path, *BOARD, "--source", f"video:{tmp_path / 'f.mkv'}")
+    assert re.search(
+        r"truncated or damaged there; \d photos? in .* kept, and the same command",
+        refused("--for", "camera", tmp_path, *BOARD, "--source", f"video:{tmp_path / 'f.mkv'}"),
+    )
     assert list((tmp_path / "board").iterdir())
 
 
 def test_where_nothing_can_be_taken_the_reason_is_told(tmp_path, source):
-    with pytest.raises(CalibrationError, match="no photo in 9 frames: most often it shows 9x6 corners of a chessboard"):
-        run("--for", "camera", tmp_path, "--board", "7x5", "--square", "30mm", "--source", source)
+    assert "no photo in 9 frames: most often it shows 9x6 corners of a chessboard" in refused(
+        "--for", "camera", tmp_path, "--board", "7x5", "--square", "30mm", "--source", source
+    )
     assert not (tmp_path / NAME).exists()
 
 
 def test_what_comes_before_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(CalibrationError, match="is a file"):
-        run("--for", "camera", tmp_path / "file")
+    assert "is a file" in refused("--for", "camera", tmp_path / "file")
     folder = tmp_path / "cabinet"
     folder.mkdir()
-    with pytest.raises(CalibrationError, match=r"device\.yaml: no such file; `spheremouse calibrate init"):
-        run("--for", "device", folder)
+    assert "device.yaml: no such file; `spheremouse calibrate init" in refused("--for", "device", folder)
     (folder / "device.yaml").write_text(device_template())
-    with pytest.raises(CalibrationError, match="photos of the board come first: spheremouse calibrate photos"):
-        run("--for", "device", folder)
+    assert "photos of the board come first: spheremouse calibrate photos" in refused("--for", "device", folder)
     (folder / "config.yaml").write_text("camera: {size: 3}\n")
-    with pytest.raises(ConfigurationError, match=r"config\.yaml"):
-        run("--for", "camera", folder)
+    assert "config.yaml" in refused("--for", "camera", folder)
 
 
 def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, source):
     (tmp_path / "device.yaml").write_text(device_template())
     save_camera(tmp_path / "camera.yaml", replace(CAMERA, width=1280, height=960))
-    with pytest.raises(CalibrationError, match=r"is for the mode 1280x960, the camera gives 640x480"):
-        run("--for", "device", tmp_path, "--source", source)
+    assert "is for the mode 1280x960, the camera gives 640x480" in refused(
+        "--for", "device", tmp_path, "--source", source
+    )
 
 
 @pytest.fixture
@@ -158,9 +163,8 @@ def test_a_device_file_nobody_filled_in_is_refused(cabinet):
     """Its targets may well be those of the photos; the distances are not."""
     device = cabinet / "device.yaml"
     device.write_text(device_template(), encoding="utf-8")
-    with pytest.raises(CalibrationError, match="delete its first line") as e:
-        run(datasets_dir() / "stills" / "device", *options(cabinet, device), command="device")
-    assert "\n" not in str(e.value)
+    said = refused(datasets_dir() / "stills" / "device", *options(cabinet, device), command="device")
+    assert "delete its first line" in said
     assert not (cabinet / "rig.yaml").exists()
 
 

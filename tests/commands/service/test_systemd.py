@@ -92,15 +92,13 @@ def test_what_is_placed_may_be_read_by_all_whatever_the_umask_and_what_was_there
     assert {(path.is_dir(), mode) for path, mode in placed.items()} == {(True, 0o755), (False, 0o644)}
 
 
-def test_uninstalling_leaves_nothing_where_nobody_changed_anything(root):
+def test_uninstalling_leaves_what_somebody_made_or_changed_unless_purged(root):
     (root / "hostname").write_text("cabinet\n")
     call("install", root=root)
     assert "the service is gone" in call("uninstall", root=root)
     assert tree(root) == {"hostname": "cabinet\n"}
     assert "there was no service" in call("uninstall", root=root)
-
-
-def test_configuration_calibration_and_map_stay_unless_purged(root):
+    (root / "hostname").unlink()
     call("install", root=root)
     kept = {
         "etc/spheremouse/config.yaml": "schema: 2\n",
@@ -211,7 +209,7 @@ def test_allowed_addresses_are_in_a_file_beside_the_unit_until_others_are_given(
     assert tree(root) == before
 
 
-def test_another_address_is_refused_and_nothing_is_placed(root):
+def test_another_address_is_refused_and_nothing_is_placed(root, home):
     lines = ("10.0.0.1\n", "10.0.0.1\nDeviceAllow=/dev/mem", "fe80::1%1\nDeviceAllow=/dev/mem")
     for address in ("192.168.1.300", "192.168.1.7/24", "cabinet.local", "", *lines):
         with pytest.raises(ServiceError) as e:
@@ -219,10 +217,6 @@ def test_another_address_is_refused_and_nothing_is_placed(root):
         why = "has bits after its prefix" if "/24" in address else "is neither an IP address nor a network"
         assert e.value.problem == f"--allow {address}: {why}"
         assert e.value.hint == "write for example 192.168.1.7, 192.168.1.0/24 or multicast"
-    assert tree(root) == {}
-
-
-def test_the_service_of_an_account_refuses_addresses_since_it_filters_none(root, home):
     with pytest.raises(ServiceError, match="has no filter of addresses; leave --allow out"):
         call("install", "--user", "--allow", "10.0.0.1", root=root)
     assert tree(root) == {}

@@ -217,12 +217,6 @@ def test_a_scene_that_is_none(folder, text):
     assert "scene.json" in refusal(DatasetError, open_dataset, folder)
 
 
-def test_a_wand_recording_is_told_apart(folder):
-    spoil_scene(folder, "ball", None)
-    spoil_scene(folder, "wand", {"radius": 0.05})
-    assert "--tracker wand" in refusal(DatasetError, open_dataset, folder)
-
-
 def lines(file):
     return file.read_text().splitlines()
 

@@ -1,8 +1,4 @@
-"""`spheremouse calibrate practice`: a folder of simulated calibration photos with their truth.
-
-The folder has board/*.jpg, device/*.jpg, board.yaml, device.yaml, truth.json, and the dataset film with the gestures
-for `spheremouse axes`.
-"""
+"""`spheremouse calibrate practice`: a folder of simulated calibration photos and a film, with their truth."""
 
 from functools import partial
 from pathlib import Path
