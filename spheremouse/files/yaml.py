@@ -243,18 +243,16 @@ def _plain(node: Node, key: Key, lines: dict[Key, int], problems: list[Problem])
         return tuple(items)
     data: dict[str, Any] = {}
     for name, value in node.value:
-        line = name.start_mark.line + 1
-        word = name.value if isinstance(name, ScalarNode) else "?"
+        word, line = name.value if isinstance(name, ScalarNode) else "?", name.start_mark.line + 1
         path = (*key, word)
-        if not isinstance(name, ScalarNode):
-            lines[path] = line
-            problems.append(Problem(path, "a key must be a word, not a list or a section"))
-            continue
         if word in data:
             problems.append(Problem(path, f"stands here and in line {line}; remove one of them"))
             continue
         lines[path] = line
-        data[word] = _plain(value, path, lines, problems)
+        if isinstance(name, ScalarNode):
+            data[word] = _plain(value, path, lines, problems)
+        else:
+            problems.append(Problem(path, "a key must be a word, not a list or a section"))
     return data
 
 

@@ -63,10 +63,8 @@ def test_a_film_is_made_and_evaluated(tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--runs", "0"), "--runs: must be 1 or more, is 0"),
         (("--detector", "blobs"), "--detector: does not go with --tracker wand; leave it out"),
         (("--set", "wand.partikles=3"), "--set wand.partikles: unknown key; did you mean wand.particles"),
-        (("--pose", "maybe"), "--pose: must be own or known"),
         (("--ball", "none.yaml"), "none.yaml: no such file"),
     ],
 )

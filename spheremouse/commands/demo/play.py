@@ -1,9 +1,7 @@
 """Run the demonstration: simulate, track by pictures and rig alone, show, and compare with the truth."""
 
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.truth import DiscTruth, Truth
+from spheremouse.ball.truth import Truth
 from spheremouse.capture import Stream
 from spheremouse.capture.signals import SignalHandler
 from spheremouse.commands.run import follow
@@ -31,8 +29,7 @@ from spheremouse.session.ball.adapter import BallAdapter
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.setup import Setup
 from spheremouse.session.tracker_adapter import FrameResult, TrackerAdapter
-from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
-from spheremouse.tracker import Frame
+from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepare, simulate
 
 FILES = {
     "overlay.mp4": "a video with the targets and discs that the tracker found",
@@ -47,13 +44,12 @@ _NEXT = (
     ("preview", "the picture of your own camera"),
     ("calibrate next", "the steps to your own ball, one after the other"),
 )
-_NO_IMAGE = np.zeros((0, 0), np.uint8)
 _NOISE_GREY = 4.0  # grey values: a webcam in a lit room
 
 
 def play(out: Path, seconds: float, seed: int) -> None:
     """Simulate, track and compare, and write FILES into a folder."""
-    film = _Film(prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE_GREY, seed=seed)))
+    film = prepare(SimulationOptions(motion="play", seconds=seconds, noise=_NOISE_GREY, seed=seed))
     with os_errors_as(ConfigurationError, f"--out {out}: cannot be made"):
         out.mkdir(parents=True, exist_ok=True)
         for name in _TABLE:  # of an earlier demo, which would be continued
@@ -63,13 +59,13 @@ def play(out: Path, seconds: float, seed: int) -> None:
     overrides = CommandLineOverrides(assignments=settings, no_map=True)
     with ExitStack() as stack:
         stopping = stack.enter_context(SignalHandler())
-        view = _View(stack, out / "overlay.mp4", film.simulation.fps, status=True)
+        view = _View(stack, out / "overlay.mp4", film.fps, status=True)
         view.log(
-            f"A simulated camera (640x480, {film.simulation.fps:g} Hz, noise {_NOISE_GREY:g}) films a ball with "
-            f"{len(film.simulation.scene.disc_directions)} discs,\nand bolts that look like discs. "
+            f"A simulated camera (640x480, {film.fps:g} Hz, noise {_NOISE_GREY:g}) films a ball with "
+            f"{len(film.scene.disc_directions)} discs,\nand bolts that look like discs. "
             "The tracker gets the pictures and the rig, nothing else."
         )
-        setup = Setup(Stream(iter(film), rig=film.simulation.scene.rig(), fps=film.simulation.fps))
+        setup = Setup(Stream((made.frame for made in simulate(film)), rig=film.scene.rig(), fps=film.fps))
         failure, _ = follow(overrides, read_run_config(overrides), setup, stopping, view, frames=None)
     if failure is not None:
         raise failure
@@ -78,14 +74,17 @@ def play(out: Path, seconds: float, seed: int) -> None:
     _compare(film, view, view.adapter, out)
 
 
-def _compare(film: "_Film", view: "_View", adapter: BallAdapter, out: Path) -> None:
+def _compare(film: Simulation, view: "_View", adapter: BallAdapter, out: Path) -> None:
     run, found = view.history.run(), None if adapter.resection is None else adapter.resection.pose
-    reference, frames = film.reference(), len(film.filmed)
+    frames = view.history.epochs[-1].frame.sequence + 1
+    stamp = np.arange(frames) / film.fps
+    truth = Truth(stamp, film.profile.attitude(stamp), film.profile.rate(stamp))
+    reference = Reference(truth, pose=film.scene.pose)
     result = report(run, reference, adapter.rig, dataset="demo", tracker="so3", frames=frames, found=found)
     if len(run.tracked):
-        plot_run(run, film.truth(), out / "plot.png")
+        plot_run(run, truth, out / "plot.png")
     print()
-    Console(file=sys.stdout, highlight=False).print(_summary(result, view, film.truth(), adapter.rig))
+    Console(file=sys.stdout, highlight=False).print(_summary(result, view, truth, adapter.rig))
     files = [(str(out / name), meaning) for name, meaning in FILES.items() if (out / name).exists()]
     _print_pairs("files:", files)
     _print_pairs("next:", [(f"spheremouse {words}", meaning) for words, meaning in _NEXT])
@@ -109,34 +108,6 @@ def _print_pairs(title: str, pairs: list[tuple[str, str]]) -> None:
     print(title)
     for first, second in pairs:
         print(f"  {first:{width}}  {second}")
-
-
-class _Film:
-    """Yields frames for the tracker, and keeps the truth."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        self.simulation = simulation
-        self.filmed: list[SimulatedFrame] = []  # without their images
-
-    def __iter__(self) -> Iterator[Frame]:
-        for simulated in simulate(self.simulation):
-            self.filmed.append(replace(simulated, frame=replace(simulated.frame, image=_NO_IMAGE)))
-            yield simulated.frame
-
-    def truth(self) -> Truth:
-        """Return the motion of the ball."""
-        return Truth(
-            np.array([f.frame.stamp for f in self.filmed]),
-            np.array([f.attitude for f in self.filmed]),
-            np.array([f.rate for f in self.filmed]),
-        )
-
-    def reference(self) -> Reference:
-        """Return the truth of motion, discs and camera pose."""
-        rows = [replace(f.discs, frame=np.full(len(f.discs), i)) for i, f in enumerate(self.filmed)]
-        discs = DiscTruth(*(np.concatenate([getattr(r, n) for r in rows]) for n in DiscTruth.__slots__))
-        scene = self.simulation.scene
-        return Reference(self.truth(), discs, scene.pose, scene.disc_directions)
 
 
 def _summary(result: dict[str, Any], view: _View, truth: Truth, rig: Rig) -> Table:

@@ -212,8 +212,7 @@ def _run_check(name: str, check: Callable[..., Any], *given: Any) -> list[Findin
     found: list[Finding] = []
     try:
         made = check(*given)
-        for finding in [made] if isinstance(made, Finding) else made:
-            found.append(finding)
+        found.extend([made] if isinstance(made, Finding) else made)
     except Exception as e:
         found.append(_failure(name, e))
     return found

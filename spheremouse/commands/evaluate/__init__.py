@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -22,7 +22,7 @@ class Options:
     ] = None
     detector: Annotated[str | None, typer.Option(metavar="default|blobs|texture|both", help="Detector.")] = None
     pose: Annotated[
-        str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
+        Literal["own", "known"], typer.Option(help="Camera pose: found from the images, or the true one.")
     ] = "own"
     assignments: Assignments = None
     config_file: Annotated[
@@ -42,10 +42,10 @@ class Options:
     ] = None
     json_file: JsonFile = None
     plot_file: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw one dataset's run.")] = None
-    noise: Annotated[float, typer.Option(metavar="S", help="Add normal noise, grey values.")] = 0.0
+    noise: Annotated[float, typer.Option(metavar="S", min=0.0, help="Add normal noise, grey values.")] = 0.0
     brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0
     balls: Balls = None
-    runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1
+    runs: Annotated[int, typer.Option("--runs", metavar="N", min=1, help="Wand: runs with seeds 1 to N.")] = 1
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Add the estimates given all frames, also the later ones (so3).")
     ] = False
@@ -63,10 +63,6 @@ def evaluate(*, options: Options) -> None:
     from spheremouse.files.safe_files import write_json
 
     o = options
-    if o.pose not in ("own", "known"):
-        raise ConfigurationError(f"--pose: must be own or known, is {o.pose!r}")
-    if not 0.0 <= o.noise < math.inf:
-        raise ConfigurationError(f"--noise: must be 0 or more grey values, is {o.noise:g}")
     if o.plot_file is not None and len(o.datasets) > 1:
         raise ConfigurationError("--plot: draws one dataset; name one at a time")
     if o.beside is not None and len(o.datasets) > 1:

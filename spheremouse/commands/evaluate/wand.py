@@ -7,7 +7,7 @@ from rich.console import Console
 
 from spheremouse.commands import terminal
 from spheremouse.commands.evaluate import Options, about
-from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.evaluation.table import consistency, wand_table
 from spheremouse.evaluation.wand import WandHistory
 from spheremouse.files import config
@@ -27,12 +27,7 @@ _MAX_EVENTS = 10  # printed of the first run
 
 
 def evaluate_wands(options: Options, out: Console, err: Console) -> tuple[list[dict[str, Any]], bool]:
-    """Print a table of the datasets. Return their reports, and True if one of them failed.
-
-    Raises ConfigurationError for `--runs` below 1, and DatasetError if `--pose known` lacks truth.
-    """
-    if options.runs < 1:
-        raise ConfigurationError(f"--runs: must be 1 or more, is {options.runs}")
+    """Print a table of the datasets. Return reports, and whether one failed. DatasetError: `--pose known`, no truth."""
     settings = config.in_force(options.config_file, options.assignments or (), Configuration).wand
     camera = None if options.camera_file is None else load_camera(options.camera_file)
     given = read_balls(options.balls or ())

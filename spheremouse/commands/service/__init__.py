@@ -184,9 +184,8 @@ def _run(commands: list[list[str]], quiet: bool = False) -> bool:
     for command in commands:
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-            reason = (
-                "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
-            )
+            lines = done.stderr.strip().splitlines() or [f"exit {done.returncode}"]
+            reason = lines[-1] if done.returncode else ""
         except (OSError, subprocess.TimeoutExpired) as e:
             reason = str(e)
         if reason and not quiet:

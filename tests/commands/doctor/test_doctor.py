@@ -11,17 +11,14 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import typer
 from control_world import a_status
 from rich.console import Console
-from typer.testing import CliRunner
 
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.projection import NEGATIVE
 from spheremouse.ball.settings import Settings
 from spheremouse.commands import findings as report
 from spheremouse.commands.doctor import camera, computer, files, running
-from spheremouse.commands.doctor import doctor as command
 from spheremouse.commands.doctor import examine as doctor
 from spheremouse.commands.doctor import sight as sights
 from spheremouse.commands.doctor.camera import Controls, Footage, film
@@ -155,37 +152,30 @@ def test_a_recording_that_breaks_off_is_used_as_far_as_it_goes(tmp_path, far26):
     assert one(found, "picture", "targets").verdict is OK
 
 
-def invoke(*words):
-    app = typer.Typer()
-    app.command()(command)
-    return CliRunner().invoke(app, list(map(str, words)))
+def test_the_command_says_words_beside_every_sign_and_ends_with_1_where_something_is_wrong(
+    spheremouse, tmp_path, far26
+):
+    out, _ = spheremouse.succeed("doctor", "--source", f"dataset:{far26}", "--output", "text:-")
+    assert "✓ ok" in out
+    assert out.rstrip().endswith("for a bug report: spheremouse doctor --json")
+    code, out, _ = spheremouse("doctor", "--source", f"dataset:{tmp_path}/gone", "--output", "text:-")
+    assert (code, "✗ wrong" in out, "1 wrong" in out) == (1, True, True)
 
 
-def test_the_command_says_words_beside_every_sign_and_ends_with_1_where_something_is_wrong(tmp_path, far26):
-    done = invoke("--source", f"dataset:{far26}", "--output", "text:-")
-    assert done.exit_code == 0, done.output
-    assert "✓ ok" in done.output
-    assert done.output.rstrip().endswith("for a bug report: spheremouse doctor --json")
-    done = invoke("--source", f"dataset:{tmp_path}/gone", "--output", "text:-")
-    assert done.exit_code == 1
-    assert "✗ wrong" in done.output
-    assert "1 wrong" in done.output
-
-
-def test_the_report_for_others_is_json_without_the_home_folder(tmp_path, far26, monkeypatch):
+def test_the_report_for_others_is_json_without_the_home_folder(spheremouse, tmp_path, far26):
     config = tmp_path / "home" / "cabinet" / "config.yaml"
     config.parent.mkdir(parents=True)
     config.write_text(f"schema: 2\nsource: dataset:{far26}\nrecord: {{folder: {tmp_path}/home/films}}\n")
-    done = invoke("--config", config, "--json")
-    told = json.loads(done.stdout)
+    code, out, _ = spheremouse("doctor", "--config", config, "--json")
+    told = json.loads(out)
     assert told["format"] == report.FORMAT
-    assert str(tmp_path / "home") not in done.stdout
+    assert str(tmp_path / "home") not in out
     texts = {(c["subject"], c["name"]): c for c in told["checks"]}
     assert texts["configuration", "configuration"]["text"] == "~/cabinet/config.yaml"
     assert texts["computer", "disk"]["text"].endswith("~/films")
     assert told["wrong"] == sum(c["verdict"] == "wrong" for c in told["checks"])
     assert texts["picture", "targets"]["values"]["seen"] == 4
-    assert done.exit_code == (1 if told["wrong"] else 0)
+    assert code == (1 if told["wrong"] else 0)
 
 
 def test_a_terminal_without_colour_or_unicode_is_told_the_same_words():
