@@ -96,8 +96,7 @@ class _PlugIn:
                 setattr(self, name, self._with_named_errors(getattr(plugin, name)))
 
     def __getattr__(self, name: str) -> Any:
-        member = getattr(self._plugin, name)
-        return self._with_named_errors(member) if callable(member) else member
+        return getattr(self._plugin, name)
 
     def _with_named_errors(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -108,14 +107,7 @@ class _PlugIn:
 
     def __iter__(self) -> Iterator[Any]:
         with self._named_errors():
-            items = iter(self._plugin)
-        while True:
-            with self._named_errors():
-                try:
-                    item = next(items)
-                except StopIteration:
-                    return
-            yield item
+            yield from self._plugin
 
     def __enter__(self) -> "_PlugIn":
         with self._named_errors():

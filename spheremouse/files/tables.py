@@ -23,7 +23,6 @@ def read_columns(
     line, if a cell is no number, a row has another width than the header, or the table has too many rows.
     """
     fit = MAX_NUMBERS // len(columns)
-    count = 0
     try:
         with open_to_read(path) as file:
             reader = csv.reader("\n" if line.startswith("#") else line for line in lines(file))
@@ -31,21 +30,17 @@ def read_columns(
             header = [name.strip() for name in next(rows, [])]
             missing = [c for c in columns if c not in header]
             if missing:
-                raise DatasetError(
-                    f"{path}, line {max(1, reader.line_num)}: no column {', '.join(missing)}; the table begins with "
-                    "a line of column names"
-                )
+                problem = f"{path}, line {max(1, reader.line_num)}: no column {', '.join(missing)}"
+                raise DatasetError(problem, "the table begins with a line of column names")
             wanted = [(array("d"), header.index(c), c, c in optional) for c in columns]
-            for cells in rows:
+            for count, cells in enumerate(rows, 1):
+                line = reader.line_num
                 if len(cells) != len(header):
-                    raise DatasetError(
-                        f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
-                    )
-                if count >= fit:
+                    raise DatasetError(f"{path}, line {line}: {len(cells)} cells under {len(header)} columns")
+                if count > fit:
                     raise DatasetError(f"{path}: more than {fit} rows; shorten the recording")
                 for kept, place, column, may_be_empty in wanted:
-                    kept.append(_number(path, reader.line_num, column, cells[place], may_be_empty))
-                count += 1
+                    kept.append(_number(path, line, column, cells[place], may_be_empty))
                 if most is not None and count > most:
                     break
     except (OSError, UnicodeDecodeError, csv.Error) as e:

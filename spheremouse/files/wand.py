@@ -7,6 +7,7 @@ counter-clockwise seen from above. The reader reports every problem with its lin
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -179,25 +180,18 @@ def symmetry(ball: WandBall) -> Array | None:
     """Return a rotation, (3, 3), that maps the discs onto discs of the same look, or None."""
     directions = np.array([d.direction for d in ball.discs])
     kinds = [(d.colour, round(float(np.degrees(d.angle)))) for d in ball.discs]
-    first = 0
-    second = int(np.argmin(np.abs(directions @ directions[first])))  # the nearest to a right angle
-    cosine = directions[first] @ directions[second]
-    for i, a in enumerate(directions):
-        for k, b in enumerate(directions):
-            if (
-                kinds[i] != kinds[first]
-                or kinds[k] != kinds[second]
-                or abs(a @ b - cosine) > np.sin(_MAX_SEPARATION_OF_SAME_DISC_RAD)
-            ):
-                continue
-            turn = align(directions[[first, second]], np.array([a, b]))
-            if np.linalg.norm(rotation_vector(turn)) < _MIN_TURN_RAD:
-                continue
-            angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
-            nearest = np.argmin(angles, axis=1)
-            is_symmetry = all(kinds[j] == kinds[n] for j, n in enumerate(nearest)) and len(
-                set(nearest.tolist())
-            ) == len(kinds)
-            if is_symmetry and float(np.max(angles[np.arange(len(kinds)), nearest])) < _MAX_SEPARATION_OF_SAME_DISC_RAD:
-                return turn
+    second = int(np.argmin(np.abs(directions @ directions[0])))  # the nearest to a right angle with the first
+    cosine, pair = directions[0] @ directions[second], (kinds[0], kinds[second])
+    for i, k in product(range(len(kinds)), repeat=2):
+        off = abs(directions[i] @ directions[k] - cosine)
+        if (kinds[i], kinds[k]) != pair or off > np.sin(_MAX_SEPARATION_OF_SAME_DISC_RAD):
+            continue
+        turn = align(directions[[0, second]], directions[[i, k]])
+        if np.linalg.norm(rotation_vector(turn)) < _MIN_TURN_RAD:
+            continue
+        angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
+        nearest = np.argmin(angles, axis=1).tolist()
+        is_symmetry = [kinds[n] for n in nearest] == kinds and len(set(nearest)) == len(kinds)
+        if is_symmetry and float(np.max(np.min(angles, axis=1))) < _MAX_SEPARATION_OF_SAME_DISC_RAD:
+            return turn
     return None

@@ -121,9 +121,8 @@ def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterato
         source = folder / "video.mkv"
         images = video_images(source, size)
     count = 0
-    for image in islice(images, frames):
+    for count, image in enumerate(islice(images, frames), 1):  # noqa: B007  counted
         yield image
-        count += 1
     if count == 0:
         raise DatasetError(f"{source}: no frame in it can be read")
     if count < frames:
