@@ -81,6 +81,4 @@ def test_the_command_prints_lines_and_writes_its_figures(spheremouse, tmp_path):
     assert "tracked: 5 of 5; never lost" in out
     assert json.loads(path.read_text())["steps"] == 5
 
-
-def test_errors_are_one_line(spheremouse, tmp_path):
     assert spheremouse.fail("bench", tmp_path / "nothing").startswith(f"{tmp_path / 'nothing'}: no such folder")

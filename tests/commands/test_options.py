@@ -48,11 +48,8 @@ def run():
     return call
 
 
-def test_nothing_said_is_what_the_dataclass_has(run):
-    assert run() == Film()
-
-
 def test_what_is_typed_arrives_in_the_fields(run):
+    assert run() == Film()
     words = "--number 3 --share 1 --long 4 --kind two --size 64X48 --places 3,4e-1 --seen --no-heard"
     assert run(*words.split()) == Film(3, 1.0, 4.0, "two", (64, 48), (3.0, 0.4), True, False)
     assert run("--long", "5mm").length_m == 0.005

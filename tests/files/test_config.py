@@ -95,9 +95,10 @@ def problems(tmp_path, check):
     return of
 
 
-def test_a_file_that_says_nothing_gives_the_defaults(check):
+def test_a_file_that_says_nothing_gives_the_defaults_whatever_its_line_ends(check):
     assert check("schema: 2\n") == Root()
     assert check("schema: 2\nso3:\n  # all commented out\nouter: {inner: }\n") == Root()
+    assert check(b"\xef\xbb\xbfschema: 2\r\ntracker: ekf1\r\n") == Root(tracker="ekf1")
 
 
 def test_what_a_file_says_replaces_only_that(check):
@@ -320,10 +321,6 @@ def test_no_value_becomes_a_number_by_surprise(problems, text, value):
 def test_a_file_that_is_no_configuration_is_refused_with_its_line(problems, text, start):
     (line,) = problems(text)
     assert line.startswith(start)
-
-
-def test_a_byte_order_mark_and_windows_line_ends_are_no_fault(check):
-    assert check(b"\xef\xbb\xbfschema: 2\r\ntracker: ekf1\r\n").tracker == "ekf1"
 
 
 def test_what_is_not_a_readable_file_is_refused(tmp_path):

@@ -127,11 +127,6 @@ def test_names_and_date():
     assert age(replace(now, saved=now.saved - timedelta(days=400))) == "400 days ago"
 
 
-def test_a_missing_file_is_no_damaged_one(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"nothing\.yaml: no such file; check the path$"):
-        load_map(tmp_path / "nothing.yaml")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -29,9 +29,7 @@ def test_what_stands_between_two_syn_is_one_report_and_buttons_and_other_axes_ar
     events = [(1.0, REL, X, 3), (1.0, REL, Y, -2), (1.0, REL, WHEEL, 1), (1.0, SYN, 0, 0), (1.01, REL, X, 1)]
     assert fed(*events, (1.01, SYN, 0, 0)) == [MouseReport(1.0, 3, -2), MouseReport(1.01, 1, 0)]
     assert fed((1.0, KEY, 0x110, 1), (1.0, SYN, 0, 0), (1.1, REL, 0x0B, 120), (1.1, SYN, 0, 0)) == []
-
-
-def test_after_the_kernel_dropped_events_the_rest_of_that_report_is_dropped():
+    # after the kernel dropped events, the rest of that report is dropped
     events = [
         (1.0, REL, X, 9), (1.1, SYN, 3, 0), (1.1, REL, X, 7), (1.1, SYN, 0, 0), (1.2, REL, X, 5), (1.2, SYN, 0, 0)
     ]  # fmt: skip

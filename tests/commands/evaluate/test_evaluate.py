@@ -574,7 +574,7 @@ def test_without_truth_it_runs_all_the_same(evaluate, filmed, tmp_path):
         (("--config", "missing.yaml"), "missing.yaml"),
         (("--set", "tracker=wand"), "tracker: wand is for balls in a hand"),
         (("--json", "nowhere/out.json"), "nowhere/out.json: there is no folder"),
-        (("--map", "missing.yaml"), "missing.yaml"),
+        (("--map", "missing.yaml"), "missing.yaml: no such file; check the path"),
         (("--map", "missing.yaml", "--tracker", "ekf1"), "--map: tracker ekf1 keeps no map"),
         (("--smooth", "--tracker", "ekf1"), "--smooth: there is no smoother for ekf1"),
         (("another", "--plot", "out.png"), "--plot"),

@@ -97,15 +97,12 @@ def test_the_menu_offers_the_possible_actions(view, actions):
     assert [item.action for item in tray.menu(view) if item.action is not None] == actions
 
 
-def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
+def test_the_first_line_is_the_state_with_its_reason_or_the_command_that_starts_a_daemon():
     items = tray.menu(View("searching-targets", "1 of 4 targets found"), "paused")
     assert items[0] == tray.Item("searching targets: 1 of 4 targets found")
     assert items[1] == tray.Item("paused")
     assert items[2] is SEPARATOR
     assert [i.text for i in items if i.default] == ["Re-initialise camera pose"]
-
-
-def test_without_a_daemon_the_first_line_names_the_command():
     v = tray.no_daemon("no daemon runs (no daemon listens at /run/a or /run/b); start one with `spheremouse run`")
     assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
 
