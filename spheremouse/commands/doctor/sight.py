@@ -9,18 +9,19 @@ import numpy as np
 
 from spheremouse.ball.build import build, detector_of
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
-from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import why_no_disc
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, best_projection, disc_detector
-from spheremouse.ball.detect.projection import GREY, Projection, weights_of
+from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.points import directions_at
 from spheremouse.ball.pose import TARGET_SIGMA_PX, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import SpheremouseError
 from spheremouse.finding import Finding, Verdict, classify, ok, refused, unchecked, wrong
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
 from spheremouse.session.messages import why_absent
 from spheremouse.tracker import Frame
 
@@ -192,12 +193,16 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
     """Report the median number of disc candidates in a view, and the median contrast of all.
 
     If most views show none, report the cause in the view with the fewest. Contrast does not change the verdict: the
-    detector has left out weaker discs. It is missing if all discs are at the border of the picture.
+    detector has left out weaker discs.
     """
-    found = [seen.detector.detect(v.image) for v in views]
-    counts = [len(d) for d in found]
+    counts, contrasts = [], []
+    for view in views:
+        found = seen.detector.detect(view.image)
+        counts.append(len(found))
+        directions, _ = directions_at(found.centre, seen.rig, seen.pose)
+        _, learnt = seen.detector.follow(view.image, SearchState(), directions, least=len(directions) + 1)
+        contrasts += [learnt.contrast] if learnt.contrast > 0.0 else []
     count = int(np.median(counts))
-    contrasts = np.concatenate([contrast(v.image, d, seen.projection) for v, d in zip(views, found, strict=True)])
     numbers: dict[str, Any] = {"seen": count, "least": min(counts), "most": max(counts)}
     if count == 0:
         absence = why_no_disc(views[int(np.argmin(counts))].image, seen.rig, seen.pose, settings)
@@ -212,26 +217,6 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
     return classify(
         "discs", text, (count < _MIN_DISCS, Verdict.WARNING, few, "uncover the ball, or add discs"), **numbers
     )
-
-
-def contrast(image: Image, found: Detections, projection: Projection) -> Array:
-    """Return the contrast of each disc, (k,), relative to the lighter of disc and ball; without discs at the border."""
-    values = (image if image.ndim == 3 else image[:, :, None]) @ weights_of(projection, 1 if image.ndim == 2 else 3)
-    made = []
-    for (u, v), area in zip(found.centre, found.area, strict=True):
-        r = float(np.sqrt(area / np.pi))
-        half = int(np.ceil(2.0 * r)) + 1
-        x, y = round(u), round(v)
-        if x < half or y < half or x + half >= values.shape[1] or y + half >= values.shape[0]:
-            continue
-        patch = values[y - half : y + half + 1, x - half : x + half + 1].astype(float)
-        grid = np.arange(-half, half + 1)
-        d = np.hypot(grid[None, :] - (u - x), grid[:, None] - (v - y))
-        core, ring = patch[d <= max(0.5 * r, 0.8)], patch[(d >= 1.5 * r) & (d <= 2.0 * r)]
-        if len(core) and len(ring):
-            disc, ball = float(np.median(core)), float(np.median(ring))
-            made.append((ball - disc) / max(abs(ball), abs(disc), 1.0))
-    return np.array(made)
 
 
 def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: bool) -> Finding:
