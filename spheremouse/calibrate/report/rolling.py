@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.rig import Rig
-from spheremouse.calibrate.rolling.axes import Axes
 from spheremouse.calibrate.rolling.calibrate import Solution
 from spheremouse.calibrate.rolling.problem import Rolling, RollingAdjustment
 from spheremouse.files.figures import figure_rows
@@ -19,7 +18,7 @@ _MAX_STEP = 0.5  # rad between frames; more is a gap
 _VISIBLE_OF_LIMB_ANGLE = 0.85  # of the angle to the limb
 
 
-def rolling_json(solution: Solution, axes: Axes, source: str, rig: Rig) -> dict[str, Any]:
+def rolling_json(solution: Solution, source: str, rig: Rig) -> dict[str, Any]:
     """Return the figures of `--json`; lengths in m, or in radii of the ball if the scale is free."""
     rolled = solution.rolled
     ratio_sigma, direction_sigma = sigmas(rolled)
@@ -47,7 +46,7 @@ def rolling_json(solution: Solution, axes: Axes, source: str, rig: Rig) -> dict[
         "variance_factor": rolled.variance_factor,
         "correlation_factor": rolled.correlation,
         "axes": source,
-        "axes_sigma_deg": np.rad2deg(np.sqrt(np.diag(axes.covariance))).tolist(),
+        "axes_sigma_deg": np.rad2deg(sigma[3:]).tolist(),
     }
 
 

@@ -11,9 +11,9 @@ from itertools import product
 import numpy as np
 from scipy.optimize import least_squares
 
-from spheremouse.ball.device import Device, Distance
+from spheremouse.ball.device import Device
 from spheremouse.ball.pose import Sighting, closed_form_poses, predict_targets
-from spheremouse.ball.rig import Rig
+from spheremouse.ball.rig import NO_TARGETS, Rig, Targets
 from spheremouse.calibrate.device.start import axes_of
 from spheremouse.calibrate.rolling.adjust import lens_root
 from spheremouse.calibrate.rolling.problem import Rolling
@@ -40,42 +40,25 @@ _CENTRE_SIGMA = 0.05  # px
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
-    """Errors of the axes, rad, and of the logarithm of the distance, by their source."""
-
-    own: Array  # (4, 4) covariance without the parts of lens and direction
-    by_direction: Array  # (4, 3) Jacobian by the direction to the ball's centre
-    by_lens: Array  # (4, 9) per standard deviation along `lens_root`
-    with_targets: Array  # (3n, 4) covariance with the targets' coordinates, m
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredTargets:
-    """Targets whose places were estimated with the axes."""
-
-    codes: tuple[str, ...]
-    position: Array  # (n, 3) m in cam
-    covariance: Array  # (3n + 3, 3n + 3) m², rad²: of those and of the axes' rotation
-    by_lens: Array  # (3n + 3, 9) the lens' part in that, as Parts.by_lens
-
-
-@dataclass(frozen=True, slots=True)
 class Axes:
-    """The axes of `obj` in the camera, and the distance and targets that came with them."""
+    """The axes of `obj` in the camera, and the distance and n targets that came with them, with their errors by source.
+
+    The errors, (4 + 3n,), are of the rotation (rad, obj), the logarithm of the distance, and the targets (m).
+    """
 
     rotation: Array  # (3, 3) R_obj_cam
-    covariance: Array  # (3, 3) rad², obj; of targets: without the direction's part until `with_direction`
+    own: Array  # (4 + 3n, 4 + 3n) covariance without the parts of lens and direction
+    by_direction: Array  # (4 + 3n, 3) Jacobian by the direction to the ball's centre
+    by_lens: Array  # (4 + 3n, 9) per standard deviation along `lens_root`
     distance: float | None = None  # m, to the ball's centre, by targets
-    targets: MeasuredTargets | None = None
-    parts: Parts | None = None  # None: independent of the ball's place
+    targets: Targets = NO_TARGETS  # in obj if they give the distance, else in cam; their errors are in `own`
 
 
 def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling) -> Axes:
     """Find rotation and distance by targets with known coordinates about the ball's centre.
 
-    The direction to the centre is that of `rolling`; `with_direction` adds its covariance. Only targets and camera of
-    the rig are used, and the camera must be that of the recording. Raises CalibrationError if fewer than three targets
-    are seen, or if they do not fit.
+    The direction to the centre is that of `rolling`. Only targets and camera of the rig are used, and the camera must
+    be that of the recording. Raises CalibrationError if fewer than three targets are seen, or if they do not fit.
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
     x, used = _fit(sightings, rig, rolling, known)
@@ -93,7 +76,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     by_direction = jacobian(lambda c: residuals(rolling=replace(rolling, direction=c)), rolling.direction)
     by_lens = changes_by_lens(lambda c: residuals(rig=replace(rig, camera=c)), rig.camera)
     r = residuals()
-    shared = by_targets @ rig.targets.covariance @ by_targets.T
+    shared = by_targets @ targets.covariance @ by_targets.T
     weight = np.linalg.inv(np.eye(len(r)) + shared + by_lens @ by_lens.T)
     cost = float(r @ weight @ r) / (2 * len(used) - 4)
     sigma = float(np.mean([np.sqrt(np.trace(s.covariance) / 2.0) for s in used]))
@@ -107,9 +90,10 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     T[:3, :3] = left_jacobian(x[:3])
     K = -T @ Q @ J.T  # of the result by the residuals
     own = K @ (np.eye(len(r)) + shared) @ K.T * max(cost, 1.0)
-    parts = Parts(own, K @ by_direction, K @ by_lens, rig.targets.covariance @ (K @ by_targets).T)
-    C = own + parts.by_lens @ parts.by_lens.T
-    return Axes(exp(x[:3]), C[:3, :3], float(np.exp(x[3])), parts=parts)
+    with_targets = K @ by_targets @ targets.covariance
+    own = np.block([[own, with_targets], [with_targets.T, targets.covariance]])
+    K = np.pad(K, ((0, targets.position.size), (0, 0)))  # direction and lens change no target
+    return Axes(exp(x[:3]), own, K @ by_direction, K @ by_lens, float(np.exp(x[3])), targets)
 
 
 def _fit(
@@ -209,7 +193,7 @@ def axes_from_gestures(rolling: Rolling, forward: tuple[float, float], right: tu
     R = align(np.stack([x, z]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 1.0 / sigma**2)
     # an axis has no information on rotations about itself
     N = np.diag([0.0, 1.0, 1.0]) / sigma[0] ** 2 + np.diag([1.0, 1.0, 0.0]) / sigma[1] ** 2
-    return Axes(R, np.linalg.inv(N))
+    return Axes(R, np.pad(np.linalg.inv(N), (0, 1)), np.zeros((4, 3)), np.zeros((4, 9)))
 
 
 def _gesture_axis(rolling: Rolling, span: tuple[float, float], name: str) -> tuple[Array, float]:
@@ -252,8 +236,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     The size of a target's image gives its distance, since the device file has the size of its outer ring. `sightings`
     are code, centre (2,) px and radius px of that ring; for an ellipse it is the geometric mean of the half-axes. Tape
     distances between targets improve the places. A distance that contradicts them enlarges the covariance, but is not
-    rejected. The covariance includes that of the lens, which the results have separately, too. Raises CalibrationError
-    if one of the three targets that define the axes is not seen.
+    rejected. Raises CalibrationError if one of the three targets that define the axes is not seen.
     """
     ids, uv, size = _visible_targets(sightings, device)
     n, at = len(ids), {i: k for k, i in enumerate(ids)}
@@ -267,33 +250,30 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
 
     taped = [d for d in device.distances if d.start in at and d.end in at]
 
-    def residuals(x: Array) -> Array:
-        p = moved(x)
+    def residuals(x: Array, lens: InteriorOrientation = camera) -> Array:
+        p = moved(x, lens)
         tape = [(np.linalg.norm(p[at[d.start]] - p[at[d.end]]) - d.metres) / d.sigma for d in taped]
         return np.asarray(np.concatenate([x, tape]), dtype=float)
 
-    x = np.zeros(2 + 3 * n)
-    if taped:
-        x = np.asarray(least_squares(residuals, x, x_scale="jac").x)
+    x = np.asarray(least_squares(residuals, np.zeros(2 + 3 * n), x_scale="jac").x)
     places = moved(x)
     R = axes_of(places, at, device, np.zeros(3))
 
-    def places_and_axes(y: Array, lens: InteriorOrientation = camera) -> Array:
-        points = moved(y, lens)
-        return np.concatenate([points.ravel(), log(axes_of(points, at, device, np.zeros(3)) @ R.T)])
+    def errors(x: Array, lens: InteriorOrientation = camera) -> Array:
+        """Differences from the axes and the places found, as `Axes` orders them."""
+        points = moved(x, lens)
+        turn = log(axes_of(points, at, device, np.zeros(3)) @ R.T)
+        return np.concatenate([turn, [0.0], (points - places).ravel()])
 
-    by_x, seen_through = jacobian(places_and_axes, x), changes_by_lens(lambda c: places_and_axes(x, c), camera)
-    own, by_lens = _propagate_errors(by_x, seen_through, residuals(x), places, taped, at)
-    joint = own + by_lens @ by_lens.T
+    J, by_x, r = jacobian(residuals, x), jacobian(errors, x), residuals(x)
+    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
+    # a distance corrects the effect of the lens
+    by_lens = changes_by_lens(lambda c: errors(x, c) - by_x @ Q @ J.T @ residuals(x, c), camera)
+    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0  # each distance adds one to the redundancy
+    own = by_x @ (factor * Q) @ by_x.T
     codes = tuple(code for i, code in zip(device.ids, device.codes, strict=True) if i in at)
-    four = np.eye(4)[:, :3]  # rings give no distance of the ball
-    parts = Parts(
-        own=four @ own[-3:, -3:] @ four.T,
-        by_direction=np.zeros((4, 3)),
-        by_lens=four @ by_lens[-3:],
-        with_targets=np.zeros((3 * n, 4)),
-    )
-    return Axes(R, joint[-3:, -3:], targets=MeasuredTargets(codes, places, joint, by_lens), parts=parts)
+    targets = Targets(tuple(ids), codes, places, own[4:, 4:], np.asarray(device.target_radii, dtype=float))
+    return Axes(R, own, np.zeros((len(own), 3)), by_lens, targets=targets)
 
 
 def _visible_targets(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tuple[list[int], Array, Array]:
@@ -309,28 +289,6 @@ def _visible_targets(sightings: Sequence[tuple[str, Array, float]], device: Devi
         )
     ids = [i for i in device.ids if code_of[i] in seen]
     return ids, np.array([seen[code_of[i]][0] for i in ids]), np.array([seen[code_of[i]][1] for i in ids])
-
-
-def _propagate_errors(
-    by_x: Array, by_lens: Array, r: Array, places: Array, taped: Sequence[Distance], at: dict[int, int]
-) -> tuple[Array, Array]:
-    """Return the covariance C of places (m, cam) and axes (rad) for an exact lens, and the lens' part L, (3n + 3, 9).
-
-    The whole covariance is C + L Lᵀ, (3n + 3, 3n + 3). `by_x` and `by_lens` are the Jacobians of places and axes by
-    normalised errors, of variance 1, and per standard deviation along `lens_root`. The distances `taped` correct both.
-    `r` are the normalised residuals of errors and distances; each distance adds one to the redundancy. `at` is the row
-    of a target's number.
-    """
-    J, by_tape = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # by_tape: effect of the lens through distances
-    for d in taped:
-        i, j = at[d.start], at[d.end]
-        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
-        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
-        J = np.vstack([J, row])
-        by_tape += np.outer(row, along @ (by_lens[3 * i : 3 * i + 3] - by_lens[3 * j : 3 * j + 3]))
-    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
-    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
-    return by_x @ (factor * Q) @ by_x.T, by_lens - by_x @ Q @ by_tape
 
 
 def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:

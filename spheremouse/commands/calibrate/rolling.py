@@ -116,7 +116,7 @@ def rolling(
             lambda what, frames: iter(bar.track(frames, total=total, description=what)),
         )
     made = build_rig(solution, axes, lengths.radius, 0.0 if known is None else known.exposure_s)
-    figures = rolling_json(solution, made.axes, made.source, made.rig)
+    figures = rolling_json(solution, made.source, made.rig)
     printed = json_file is not None and write_json(json_file, figures)
     if out is not None:
         _save(out, source, solution, made, {"camera": camera, "device": device})

@@ -17,7 +17,7 @@ from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import solve
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, apply_step, equations_of
-from spheremouse.calibrate.rolling.rig import place_camera, rescale_targets, target_ball_covariance, with_direction
+from spheremouse.calibrate.rolling.rig import place
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream, section
 from spheremouse.commands.calibrate import app
@@ -25,7 +25,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.files.ball_map import load_map
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.files.rig import load_rig, save_camera, save_rig
+from spheremouse.files.rig import load_rig, save_camera
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
 
@@ -269,13 +269,13 @@ def gestures(tilt):
 def test_forward_is_minus_x_and_right_is_minus_z():
     found = axes_from_gestures(gestures([0.0, 0.0, 0.0]), (0.0, 2.9), (3.1, 5.9))
     assert np.abs(log(found.rotation @ R_OBJ_CAM.T)).max() < 1e-6
-    assert 2.0 < np.rad2deg(np.sqrt(np.diag(found.covariance))).min() < 4.0
+    assert 2.0 < np.rad2deg(np.sqrt(np.diag(found.own)[:3])).min() < 4.0
 
 
 def test_gestures_that_are_not_square_share_it_and_say_so():
     straight, off = (axes_from_gestures(gestures([0.0, a, 0.0]), (0.0, 2.9), (3.1, 5.9)) for a in (0.0, 0.2))
     assert np.linalg.norm(log(off.rotation @ R_OBJ_CAM.T)) == pytest.approx(0.1, abs=0.005)
-    assert off.covariance[1, 1] > 2.0 * straight.covariance[1, 1]
+    assert off.own[1, 1] > 2.0 * straight.own[1, 1]
     with pytest.raises(CalibrationError, match="apart and not 90°"):
         axes_from_gestures(gestures([0.0, 0.6, 0.0]), (0.0, 2.9), (3.1, 5.9))
 
@@ -295,14 +295,14 @@ def test_targets_of_another_device_are_told():
         axes_from_targets(sightings[:2], rig, rolling)
 
 
-def rolled_targets(seed, rig, **how):
+def rolled_targets(seed, rig, radius=0.6, **how):
     """RollingAdjustment, axes with the direction held, and the truth: pose and radius; rig and lens are off as they
     say."""
     rng = np.random.default_rng(seed)
     truth, s = rolled(seed, **how)
     L = np.sqrt(np.diag(rig.camera.covariance))[:4] * rng.normal(size=4)
     camera = replace(rig.camera, fx=CAMERA.fx + L[0], fy=CAMERA.fy + L[1], cx=CAMERA.cx + L[2], cy=CAMERA.cy + L[3])
-    pose = Pose(R_OBJ_CAM, -0.6 * truth.ratio * (R_OBJ_CAM @ truth.direction))
+    pose = Pose(R_OBJ_CAM, -radius * truth.ratio * (R_OBJ_CAM @ truth.direction))
     sightings = seen_targets(rig, pose, rng)
     C = rig.targets.covariance
     off = rng.multivariate_normal(np.zeros(len(C)), C, method="eigh").reshape(-1, 3)
@@ -323,16 +323,15 @@ def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
     runs, axes_nees, nees, held, joint = 24, 0.0, 0.0, 0.0, 0.0
     for seed in range(runs):
         found, axes, pose, off = rolled_targets(seed, scene, frames=40, discs=24, sigma=sigma, speed=0.8)
-        counted = with_direction(axes, found)
+        p, ball, _, cross = place(found, axes, None)
         e = log(axes.rotation @ pose.rotation.T)
-        held += e @ np.linalg.solve(axes.covariance, e)
-        axes_nees += e @ np.linalg.solve(counted.covariance, e)
-        p, ball = place_camera(found, counted)
+        held += e @ np.linalg.solve((axes.own + axes.by_lens @ axes.by_lens.T)[:3, :3], e)
+        axes_nees += e @ np.linalg.solve(p.covariance[3:, 3:], e)
         error = np.concatenate([p.position - pose.position, e, [ball.radius - 0.6]])
         C = np.block([[p.covariance, p.ball_covariance[:, 3:]], [p.ball_covariance[:, 3:].T, ball.covariance[3:, 3:]]])
         nees += error @ np.linalg.solve(C, error)
         if targets:
-            cross = target_ball_covariance(counted, ball.radius)[:, 3:]
+            cross = cross[:, 3:]
             C = np.block([[scene.targets.covariance, cross], [cross.T, ball.covariance[3:, 3:]]])
             error = np.append(off, error[-1])
             joint += error @ np.linalg.solve(C, error)
@@ -347,17 +346,24 @@ def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
         assert held > 2.0 * axes_nees  # what was left out would show
 
 
-def test_targets_of_a_free_rig_take_a_length(tmp_path):
-    free, *_ = target_scene()
-    targets = replace(free.targets, covariance=1e-6 * np.eye(12))
-    unit = Ball(1.0, covariance=np.diag([0.0, 0.0, 0.0, 1e-6]))
-    ball = Ball(0.6, covariance=np.diag([0.0, 0.0, 0.0, 1.44e-6]))
-    metric, cross = rescale_targets(targets, unit, ball)
-    assert np.allclose(metric.position, 0.6 * targets.position)
-    assert np.allclose(metric.radii, 0.6 * targets.radii)
-    path = tmp_path / "rig.yaml"
-    save_rig(path, replace(free, targets=metric, ball=ball, cross_covariance=cross))
-    assert np.allclose(load_rig(path).cross_covariance, cross)
+def test_targets_of_a_free_rig_take_a_length():
+    """They are as uncertain as over many lengths and rigs. A length leaves targets of a metric rig alone."""
+    metric, *_ = target_scene()
+    targets = metric.targets
+    free = replace(targets, position=targets.position / 0.6, covariance=1e-6 * np.eye(12), radii=targets.radii / 0.6)
+    found, axes, _, _ = rolled_targets(3, replace(metric, targets=free), radius=1.0)
+    _, ball, placed, cross = place(found, axes, 0.6, rescaled=True)
+    np.testing.assert_allclose(placed.position, targets.position, atol=0.01)
+    np.testing.assert_allclose(placed.radii, targets.radii, rtol=0.01)
+    x = placed.position.ravel()
+    assert ball.covariance[3, 3] == pytest.approx((0.002 * 0.6) ** 2)
+    np.testing.assert_allclose(cross[:, 3], ball.covariance[3, 3] / 0.6 * x, rtol=1e-6)
+    by_length = placed.covariance - np.outer(cross[:, 3], cross[:, 3]) / ball.covariance[3, 3]
+    exact = place(found, replace(axes, own=np.pad(axes.own[:4, :4], (0, 12))), 0.6, rescaled=True)
+    assert np.linalg.eigvalsh(by_length).min() > 0.0
+    assert np.all(np.diag(exact.targets.covariance) < np.diag(placed.covariance))
+    np.testing.assert_array_equal(place(found, axes, 0.6).targets.position, axes.targets.position)
+    np.testing.assert_allclose(place(found, axes, 0.6).cross, 0.0, atol=1e-15)
 
 
 def target_scene():
@@ -396,7 +402,7 @@ def test_sizes_of_targets_give_axes_within_their_sigma():
         seen = list(zip(device.codes, uv + rng.normal(0.0, 0.05, uv.shape), one, strict=True))
         found = axes_from_rings(seen, device, CAMERA)
         error = log(R_OBJ_CAM @ found.rotation.T)
-        nees += error @ np.linalg.solve(found.covariance, error)
+        nees += error @ np.linalg.solve(found.own[:3, :3], error)
     low, high = chi2.ppf([0.025, 0.975], 60)
     assert low < nees < high
     with pytest.raises(CalibrationError, match=r"target 3 \(MCY\), not seen"):
@@ -416,10 +422,10 @@ def test_the_lens_is_considered_in_sizes(taped):
     C[:2, :2] = 1.0  # fx and fy together
     plain, considered = (axes_from_rings(seen, device, replace(CAMERA, covariance=c)) for c in (0.0 * C, C))
     off = axes_from_rings(seen, device, replace(CAMERA, fx=CAMERA.fx + 1.0, fy=CAMERA.fy + 1.0))
-    moved = np.append((off.targets.position - plain.targets.position).ravel(), log(off.rotation @ plain.rotation.T))
-    added = considered.targets.covariance - plain.targets.covariance
+    turn = log(off.rotation @ plain.rotation.T)
+    moved = np.concatenate([turn, [0.0], (off.targets.position - plain.targets.position).ravel()])
+    added = considered.own + considered.by_lens @ considered.by_lens.T - plain.own
     assert np.abs(added - np.outer(moved, moved)).max() < 0.02 * (moved @ moved)
-    assert np.allclose(considered.covariance, considered.targets.covariance[-3:, -3:])
 
 
 def test_one_axis_alone_is_advised_against():
