@@ -56,10 +56,9 @@ class Layer(NamedTuple):
     paint: NDArray[np.float32]  # (h, w, 4) blue, green, red, times its cover; cover 0..1
 
 
-def lay(picture: NDArray[np.float32], layer: Layer, origin: tuple[int, int] = (0, 0)) -> None:
-    """Paint a layer over a part of a picture, (h, w, 3), that has its first pixel at `origin`, u and v."""
-    (left, top, right, bottom), (u, v) = layer.window, origin
-    part = picture[top - v : bottom - v, left - u : right - u]
+def lay(picture: NDArray[np.float32], layer: Layer) -> None:
+    """Paint a layer over its part of a picture, (h, w, 3)."""
+    part = picture[layer.window.slices]
     part *= 1.0 - layer.paint[..., 3:]
     part += layer.paint[..., :3]
 

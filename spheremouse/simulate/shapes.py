@@ -1,12 +1,10 @@
 """The shapes of a simulated scene, in `obj`, and the first intersections of rays with them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
@@ -47,8 +45,10 @@ class Face:
                 inside &= s * (rays @ inward) >= (corner - origin) @ inward
         return np.where(inside, s, np.inf)
 
-    def stripe(self, points: Array) -> NDArray[np.int64]:
-        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on."""
+    def part(self, points: Array) -> NDArray[np.int64] | int:
+        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on; 0 without stripes."""
+        if self.stripes == 0.0:
+            return 0
         along = self.corners[1] - self.corners[0]
         place = (points - self.corners[0]) @ along / np.linalg.norm(along) / self.stripes
         return np.clip(place, 0, _MAX_STRIPES - 1).astype(np.int64)
@@ -82,6 +82,10 @@ class Ring:
             inside = (s > 0.0) & (r2 < self.outer**2) & (r2 >= self.inner**2)
         return np.where(inside, s, np.inf)
 
+    def part(self, _: Array) -> int:
+        """Return 0: the shape is all of one paint."""
+        return 0
+
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
@@ -90,6 +94,7 @@ class Sphere:
     centre: Array  # (3,) m, obj
     radius: float  # m
     colour: Colour
+    caps: tuple[tuple[Array, float], ...] = ()  # discs: unit vector, (3,) obj, to the middle, and rad to the edge
 
     def outline(self) -> Array:
         """Corners of a cube around it, (8, 3)."""
@@ -107,6 +112,13 @@ class Sphere:
         b = rays @ offset
         root = b * b - a * (offset @ offset - self.radius**2)
         return np.where((root >= 0.0) & (b > 0.0), (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
+
+    def part(self, points: Array) -> NDArray[np.int64]:
+        """Return k + 1 for points, (n, 3) m, on cap k, the first one if there are more, and 0 beside them, (n,)."""
+        part, normals = np.zeros(len(points), dtype=np.int64), self.normal(points)
+        for k, (direction, angle) in reversed(list(enumerate(self.caps))):
+            part[normals @ direction > np.cos(angle)] = k + 1
+        return part
 
 
 Shape = Face | Ring | Sphere
@@ -159,44 +171,3 @@ def post(
     around = np.cos(angle) * u + np.sin(angle) * v
     low, high = a + radius * around, b + (radius if top_radius is None else top_radius) * around
     return [Face(np.array([low[i], low[i + 1], high[i + 1], high[i]]), colour) for i in range(sides)]
-
-
-class Viewpoint:
-    """Shapes before a camera, with their bounds in reduced image coordinates."""
-
-    def __init__(self, shapes: Sequence[Shape], pose: Pose) -> None:
-        self.shapes, self.pose = tuple(shapes), pose
-        # (n, 2); a shape that is partly beside or behind the camera is unbounded, and one behind it has no inside
-        self._low, self._high = np.full((len(shapes), 2), -np.inf), np.full((len(shapes), 2), np.inf)
-        for i, shape in enumerate(shapes):
-            cam = pose.to_cam(shape.outline())
-            if np.all(cam[:, 2] <= 0.0):
-                self._low[i], self._high[i] = np.inf, -np.inf
-            elif np.all(cam[:, 2] >= 1e-3):
-                flat = cam[:, :2] / cam[:, 2:]
-                self._low[i], self._high[i] = flat.min(axis=0), flat.max(axis=0)
-
-    def rays(self, xy: Array) -> Array:
-        """Directions, (..., 3) obj, of reduced coordinates (..., 2), so long that distances are z in cam."""
-        R = self.pose.rotation
-        return xy @ R[:, :2].T + R[:, 2]
-
-    def cast(self, xy: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return the first shapes that rays hit: index, (m, k), -1 for none, and z in `cam`, (m, k) m.
-
-        `xy` (m, k, 2) are m bundles of k neighbouring rays each: only shapes that a bundle may meet are tried on it.
-        """
-        first = np.full(xy.shape[:2], -1, dtype=np.int64)
-        depth = np.full(xy.shape[:2], np.inf)
-        rays = self.rays(xy)
-        flat = np.ascontiguousarray(np.moveaxis(xy, 2, 0))  # NumPy reduces the last axis of a compact array fastest
-        lost = np.isnan(flat)  # no ray comes from there
-        low, high = np.where(lost, np.inf, flat).min(axis=2).T, np.where(lost, -np.inf, flat).max(axis=2).T
-        separate = ((high[:, None] < self._low) | (low[:, None] > self._high)).any(axis=2)
-        for index in np.flatnonzero(~separate.all(axis=0)):
-            near = np.flatnonzero(~separate[:, index])
-            s = self.shapes[index].hit(self.pose.position, rays[near].reshape(-1, 3)).reshape(len(near), -1)
-            nearer = s < depth[near]
-            first[near] = np.where(nearer, index, first[near])
-            depth[near] = np.where(nearer, s, depth[near])
-        return first, depth

@@ -289,7 +289,7 @@ def test_a_ball_out_of_its_place_looks_as_if_camera_and_room_had_moved_instead(s
     assert np.array_equal(one.disc, other.disc)
     for name in ("centre", "blob_centre", "area"):
         assert np.allclose(getattr(one, name), getattr(other, name), atol=1e-9, equal_nan=True)
-    layers = render_layers(small.scene, small.backdrop)
+    layers = render_layers(small.scene)
     found, true = layers.backdrop(centre).outline, render_backdrop(elsewhere).outline
     assert np.mean(np.abs(small.backdrop.outline - true)) > 0.01  # it did move
     assert np.mean(np.abs(found - true)) < 0.002
@@ -309,7 +309,7 @@ def test_the_outline_of_a_ball_out_of_its_place_has_its_exact_shape():
     scene = replace(default_scene(1, "near", width=320, height=240), surroundings=())
     centre = np.array([0.03, 0.0, 0.0])
     elsewhere = replace(scene, pose=Pose(scene.pose.rotation, scene.pose.position - centre))
-    found = render_layers(scene, render_backdrop(scene)).backdrop(centre).outline
+    found = render_layers(scene).backdrop(centre).outline
     true = render_backdrop(elsewhere).outline
 
     def second_moments(view):

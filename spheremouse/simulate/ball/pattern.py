@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.options import PatternName
@@ -20,7 +21,7 @@ _WAVES_PER_FIELD = 64  # of a field
 _CHUNK_DIRECTIONS = 4096  # directions at a time: their waves stay in the processor's cache
 _EDGE_WIDTH_RAD = 0.004  # rad, width of a painted edge
 _STRIPES = np.float32(18.0)  # between the poles there are half as many
-_CELLS_PER_SIDE = 48  # along the side of the cube around the ball, to look up its dots
+_DOTS_AT_A_POINT = 6  # at most, of 0.6 on average
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,33 +88,13 @@ def _strokes(rng: np.random.Generator, n: int, *, length: _Bounds, width: _Bound
 
 
 def _dots(rng: np.random.Generator, n: int, low: float, high: float) -> Albedo:
-    """Return the share of round dots, 0 outside, 1 inside; radii from `low` to `high`, small ones are frequent.
-
-    A table has the dots that reach into each cell of a cube around the ball.
-    """
-    centre, radius = _anywhere(rng, n), low * (high / low) ** rng.uniform(0.0, 1.0, n) ** 1.5
-    around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    cell = _cell_of(centre)[:, None] + around
-    distance = np.linalg.norm((cell + 0.5) * (2.0 / _CELLS_PER_SIDE) - 1.0 - centre[:, None], axis=2)
-    near = distance < radius[:, None] + _EDGE_WIDTH_RAD + np.sqrt(3.0) / _CELLS_PER_SIDE
-    near &= np.all((cell >= 0) & (cell < _CELLS_PER_SIDE), axis=2)
-    dot, which = np.nonzero(near)
-    index = cell[dot, which] @ (_CELLS_PER_SIDE**2, _CELLS_PER_SIDE, 1)
-    order = np.argsort(index, kind="stable")
-    index, dot = index[order], dot[order]
-    rank = np.arange(len(index)) - np.searchsorted(index, index)
-    table = np.full((_CELLS_PER_SIDE**3, int(rank.max()) + 1), n, dtype=np.int16)  # n: no more
-    table[index, rank] = dot
-    centres, radii = _single(centre), _single(radius)
+    """Return the share of round dots, 0 outside, 1 inside; radii from `low` to `high`, small ones are frequent."""
+    centres, radii = KDTree(_anywhere(rng, n)), low * (high / low) ** rng.uniform(0.0, 1.0, n) ** 1.5
+    radii = np.append(radii, -1.0)  # the tree's number for none
 
     def share(d: Single) -> Single:
-        found, on = np.zeros(len(d), dtype=np.float32), np.arange(len(d))
-        for dots in table[_cell_of(d) @ (_CELLS_PER_SIDE**2, _CELLS_PER_SIDE, 1)].T:
-            on = on[dots[on] < n]
-            dot = dots[on]
-            distance = np.linalg.norm(d[on] - centres[dot], axis=1)
-            found[on] = np.maximum(found[on], _inside(radii[dot] - distance))
-        return found
+        distance, dot = centres.query(d, k=_DOTS_AT_A_POINT, distance_upper_bound=high + _EDGE_WIDTH_RAD)
+        return _inside(_single(np.max(radii[dot] - np.minimum(distance, 2.0), axis=1)))
 
     return share
 
@@ -125,10 +106,6 @@ def _single(values: Array) -> Single:
 def _inside(depth: Single) -> Single:
     """Return 0 outside of an edge, 1 inside, from the distance to it, rad."""
     return np.clip(0.5 + depth / _EDGE_WIDTH_RAD, 0.0, 1.0)
-
-
-def _cell_of(directions: NDArray[np.floating]) -> NDArray[np.intp]:
-    return np.clip((directions + 1.0) * (0.5 * _CELLS_PER_SIDE), 0, _CELLS_PER_SIDE - 1).astype(np.intp)
 
 
 def _anywhere(rng: np.random.Generator, n: int) -> Array:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, exp, from_euler
 from spheremouse.simulate.ball.options import SimulationOptions
@@ -53,11 +54,21 @@ class SeenFrom:
 
 # ---- Euler angles made of parabolas ----
 
-# Times, s, and angles, degrees, of omega, phi and kappa in the synthetic sets of Wittich 2017 (figure 30)
+
+def _parabolas(times: tuple[float, ...], degrees: tuple[float, ...]) -> CubicHermiteSpline:
+    """Return an angle, rad, at rest at its knots: with these slopes half way, cubic pieces are parabolas."""
+    t, angle = np.array(times), np.radians(degrees)
+    knots = np.sort([*t, *(0.5 * (t[1:] + t[:-1]))])
+    slope = np.zeros(len(knots))
+    slope[1::2] = 2.0 * np.diff(angle) / np.diff(t)
+    return CubicHermiteSpline(knots, np.interp(knots, t, angle), slope, extrapolate="periodic")
+
+
+# omega, phi and kappa in the synthetic sets of Wittich 2017 (figure 30): times, s, and angles, degrees
 _THESIS = (
-    ((0.0, 5.4, 10.0), (0.0, 61.0, 0.0)),
-    ((0.0, 2.8, 6.7, 10.0), (0.0, -24.0, 10.0, 0.0)),
-    ((0.0, 3.6, 7.9, 10.0), (0.0, 46.0, -3.0, 0.0)),
+    _parabolas((0.0, 5.4, 10.0), (0.0, 61.0, 0.0)),
+    _parabolas((0.0, 2.8, 6.7, 10.0), (0.0, -24.0, 10.0, 0.0)),
+    _parabolas((0.0, 3.6, 7.9, 10.0), (0.0, 46.0, -3.0, 0.0)),
 )
 
 
@@ -72,29 +83,17 @@ class Thesis:
     seconds = 10.0
 
     def attitude(self, t: Array) -> Array:
-        return from_euler(self._euler(t)[0])
+        return from_euler(self._euler(t))
 
     def rate(self, t: Array) -> Array:
-        angles, speeds = self._euler(t)
-        return (euler_rate_matrix(angles) @ speeds[..., None])[..., 0]
+        return (euler_rate_matrix(self._euler(t)) @ self._euler(t, 1)[..., None])[..., 0]
 
-    def _euler(self, t: Array) -> Array:
-        """omega, phi, kappa and their derivatives at times (n,) s, (2, n, 3)."""
-        t = np.mod(np.asarray(t, dtype=float), self.seconds)
-        found = np.empty((2, len(t), 3))
-        for i, (times, degrees) in enumerate(_THESIS):
-            knots, angles = np.array(times), np.radians(degrees)
-            k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
-            length, rise = knots[k + 1] - knots[k], angles[k + 1] - angles[k]
-            x = (t - knots[k]) / length
-            found[0, :, i] = angles[k] + rise * np.where(x < 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) ** 2)
-            found[1, :, i] = rise / length * 4.0 * np.minimum(x, 1.0 - x)
-        return found
+    def _euler(self, t: Array, derivative: int = 0) -> Array:
+        """omega, phi and kappa at times (n,) s, or their derivatives, (n, 3)."""
+        return np.stack([angle(t, derivative) for angle in _THESIS], axis=-1)
 
 
-def thesis() -> Thesis:
-    """Return the motion of Wittich 2017."""
-    return Thesis()
+thesis = Thesis
 
 
 # ---- gestures ----

@@ -69,7 +69,7 @@ class Renderer:
         reach = self.options.reach
         self._surface = Surface(scene, reach)
         self._points = self._surface.points(self.backdrop.ball)
-        self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
+        self._layers = render_layers(scene) if reach > 0.0 else None
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
         """The picture at time `t` (s, mid-exposure of the middle row), with its truth."""

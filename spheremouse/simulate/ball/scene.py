@@ -16,8 +16,9 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.ball.pattern import Pattern
+from spheremouse.simulate.cast import Viewpoint
 from spheremouse.simulate.light import Lamp, Lighting, Strip
-from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, Viewpoint, box, post
+from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, box, post
 
 # Shares of light given back: blue, green, red
 INK: dict[str, Colour] = {"C": (0.74, 0.72, 0.008), "M": (0.58, 0.010, 0.72), "Y": (0.008, 0.66, 0.78)}

@@ -170,16 +170,12 @@ class Surface:
         if len(near) == 0:
             return (np.zeros(0, dtype=np.intp),) * 3
         uv, duv = self._project(directions[near])
-        # The ellipse of a disc's rim, and around it a margin, for the disc's arch, too
-        rim = scene.ball_radius * np.sin(scene.disc_angle) * tangent_basis(directions[near])
-        A = _EXTENT_FACTOR * duv @ (scene.pose.rotation.T @ rim)
-        arch = scene.ball_radius * (1.0 - np.cos(scene.disc_angle)) * np.linalg.norm(duv, axis=(1, 2))
-        margin = (_TESTED_MARGIN_PX + arch) * (_TESTED_MARGIN_PX + arch + 2.0 * np.linalg.norm(A, axis=(1, 2)))
-        S = A @ A.transpose(0, 2, 1) + margin[:, None, None] * np.eye(2)
-        wide = int(np.sqrt(np.max(S))) + 1
+        # of a small sphere around the disc, in both directions of the image
+        chord = _EXTENT_FACTOR * 2.0 * scene.ball_radius * np.sin(0.5 * scene.disc_angle)
+        reach = (_TESTED_MARGIN_PX + chord * np.linalg.norm(duv, axis=2))[..., None, None]
+        wide = int(np.max(reach)) + 1
         dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
-        (a, b), (_, c) = np.linalg.inv(S).transpose(1, 2, 0)[..., None, None]
-        disc, row, column = np.nonzero(a * du**2 + 2.0 * b * (du * dv) + c * dv**2 < 1.0)
+        disc, row, column = np.nonzero((du / reach[:, 0]) ** 2 + (dv / reach[:, 1]) ** 2 < 1.0)
         corner = np.rint(uv - self._window[:2]).astype(int)[disc] - wide
         row, column = row + corner[:, 1], column + corner[:, 0]
         inside = (row >= 0) & (row < self._ray.shape[0]) & (column >= 0) & (column < self._ray.shape[1])
@@ -195,7 +191,7 @@ class Surface:
         on_ball = (hits.cosine > 0.0).reshape(-1, n)
         # At the limb g is not linear in the pixel, so the middle of a part represents all of it.
         steep = hits.cosine < np.sqrt(self._pixel)
-        part = np.where(steep, g > 0.0, half_plane(g, slope / subpixels)).reshape(-1, n) * on_ball
+        part = np.where(steep, g > 0.0, _half_plane(g, slope / subpixels)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
     def _hits(self, ray: Array) -> _Hits:
@@ -285,7 +281,7 @@ class Surface:
         return DiscTruth(np.zeros(len(discs), dtype=np.intp), discs, centre, blob, area, state)
 
 
-def half_plane(g: Array, slope: Array) -> Array:
+def _half_plane(g: Array, slope: Array) -> Array:
     """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (k, 2)."""
     wide = np.maximum(np.maximum(slope[:, 0], slope[:, 1]), 1e-15)  # much faster than a maximum over a short axis
     narrow = np.maximum(np.minimum(slope[:, 0], slope[:, 1]), 1e-15)

@@ -1,25 +1,23 @@
-"""Ray casting of a hand-held ball. Its discs are true spherical caps, anti-aliased, in any light.
+"""A hand-held ball: its discs are true spherical caps, in any light.
 
-A pixel gets one ray on a plain part of ball or disc, and many rays on an edge. The result is averaged over the
-exposure. The code is independent of the particle filter's projection: it casts rays, and the filter projects points.
+The code is independent of the particle filter's projection: it casts rays, and the filter projects points.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, ellipse_to_pixel, project_sphere, unproject
+from spheremouse.geometry.camera import InteriorOrientation, sphere_outline
 from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.cast import AT_ORIGIN, PARTS, Surfaces, Viewpoint, rays_of
 from spheremouse.simulate.layers import Layer, window
 from spheremouse.simulate.light import reflectance
-from spheremouse.simulate.shapes import Colour, Sphere, pixel_parts
+from spheremouse.simulate.shapes import Colour, Sphere
 from spheremouse.simulate.wand.path import R_CAM_WORLD
 from spheremouse.wand.ball import WandBall
 
-# rays across a pixel with an edge, in each direction; fewer where many moments are averaged
-_RAYS_ACROSS_EDGE_PIXEL = 6
 _MARGIN_PX = 2  # px around the ball
 _UP = R_CAM_WORLD @ (0.0, -1.0, 0.0)  # cam
 
@@ -63,61 +61,23 @@ def paint_ball(
 ) -> Layer | None:
     """The ball, averaged over poses (centre (3,) m, R_cam_ball (3, 3)) in the exposure; None if it is out of view."""
     moments = [(c, R) for c, R in moments if c[2] > 2.0 * ball.radius]
-    ends = np.array([_extent(c, ball.radius, camera) for c, _ in moments]).reshape(-1, 2)
-    place = window(ends[np.isfinite(ends).all(axis=1)], _MARGIN_PX, camera)
+    rims = np.array([sphere_outline(c, ball.radius, camera, 24) for c, _ in moments]).reshape(-1, 2)
+    place = window(rims[np.isfinite(rims).all(axis=1)], _MARGIN_PX, camera)
     if place.empty:
         return None
-    uv = place.pixels()
-    ray = _rays(uv, camera)
-    # rays through the corners of all pixels find those with an edge
-    corner = _rays(place._replace(right=place.right + 1, bottom=place.bottom + 1).pixels() - 0.5, camera)
-    out = np.zeros((*uv.shape[:2], 4), dtype=np.float32)
-    parts = pixel_parts(max(2, int(np.ceil(_RAYS_ACROSS_EDGE_PIXEL / np.sqrt(len(moments))))))
-    for pose in moments:
-        at = _surface(ball, pose, corner)[0].reshape(np.add(uv.shape[:2], 1))
-        label, normal = _surface(ball, pose, ray)
-        around = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]], axis=-1).reshape(-1, 4)
-        edge = np.any(around != label[:, None], axis=1)
-        picture = _shade(ball, paints, pose[0], light, np.where(edge, -1, label), normal)
-        fine = _surface(ball, pose, _rays(uv.reshape(-1, 1, 2)[edge] + parts, camera))
-        picture[edge] = _shade(ball, paints, pose[0], light, *fine).reshape(-1, len(parts), 4).mean(axis=1)
-        out += picture.reshape(out.shape) / len(moments)
-    return Layer(place, out)
+    rays, paint = rays_of(place, camera), []
+    for centre, R in moments:
+        caps = tuple((R @ disc.direction, disc.angle) for disc in ball.discs)
+        view = Viewpoint([Sphere(centre, ball.radius, paint_of(ball.body), caps)], AT_ORIGIN)
+        paint.append(view.paint(rays, partial(_shade, ball, paints, centre, light)))
+    return Layer(place, np.mean(paint, axis=0, dtype=np.float32))
 
 
-def _extent(centre: Array, radius: float, camera: InteriorOrientation) -> Array:
-    """Return two corners of the picture of a sphere with its centre at (3,) m in cam, (2, 2) px."""
-    middle, outline = project_sphere(centre, radius)
-    uv, shape = ellipse_to_pixel(middle[None], outline[None], camera)
-    half = np.sqrt(np.diag(shape[0]))
-    return np.array([uv[0] - half, uv[0] + half])
-
-
-def _rays(uv: Array, camera: InteriorOrientation) -> Array:
-    """Return the rays, (n, 3) cam, of pixels, (..., 2); nan where the lens has none."""
-    xy, _ = unproject(uv, camera)
-    return np.column_stack([xy, np.ones(len(xy))])
-
-
-def _surface(ball: WandBall, pose: tuple[Array, Array], ray: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return what rays, (n, 3) cam, hit (-1 nothing, 0 the body, k + 1 disc k), and its unit normals, (n, 3) cam."""
-    centre, rotation = pose
-    depth = Sphere(centre, ball.radius, paint_of(ball.body)).hit(np.zeros(3), ray)
-    hit = np.isfinite(depth)  # False for a pixel without a ray
-    normal = (np.where(hit, depth, 0.0)[:, None] * ray - centre) / ball.radius
-    label = np.where(hit, 0, -1)
-    for k, disc in reversed(list(enumerate(ball.discs))):  # the first of two discs covers the other
-        label[hit & (normal @ (rotation @ disc.direction) > np.cos(disc.angle))] = k + 1
-    return label, normal
-
-
-def _shade(
-    ball: WandBall, paints: Array, centre: Array, light: WandLight, label: NDArray[np.intp], normal: Array
-) -> Array:
-    """Return the light, (n, 4) blue, green, red and cover, of the surfaces of `_surface`."""
-    out = np.zeros((len(label), 4))
-    hit = np.flatnonzero(label >= 0)
-    label, n = label[hit], normal[hit]
+def _shade(ball: WandBall, paints: Array, centre: Array, light: WandLight, surfaces: Surfaces, points: Array) -> Array:
+    """Return the light, (n, 4) blue, green, red and cover, of surfaces, (n,), at points, (n, 3) m, cam."""
+    out = np.zeros((len(surfaces), 4))
+    hit = np.flatnonzero(surfaces)
+    label, n = surfaces[hit] % PARTS, (points[hit] - centre) / ball.radius
     upward = 0.5 + 0.5 * (n @ _UP)[:, None]
     facing = np.maximum(n @ light.towards.T, 0.0)
     half = light.towards - centre / np.linalg.norm(centre)  # between lamp and eye (Blinn 1977)

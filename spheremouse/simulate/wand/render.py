@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.layers import Layer, Window, lay, window
-from spheremouse.simulate.light import develop
+from spheremouse.simulate.layers import Layer, lay, window
+from spheremouse.simulate.light import develop, expose
 from spheremouse.simulate.wand.ball import WandLight, disc_paints, paint_ball
 from spheremouse.simulate.wand.path import R_CAM_WORLD, WandPath
 from spheremouse.simulate.wand.room import Passing, background, card, hand_at, held, robot
@@ -22,8 +22,6 @@ from spheremouse.wand.ball import WandBall
 _LENS_SIGMA_PX = 0.45  # px, standard deviation of a lens in focus
 _BLUR_MARGIN_PX = 3  # px around moving objects, for that blur
 _MAX_MOMENTS = 16  # of an exposure
-_TONES = develop(np.arange(16384) / 4096.0).astype(np.float32)
-_NOISE_MARGIN_PX = 64  # px by which the noise is larger than the picture: each frame takes another part of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,31 +74,25 @@ class WandRenderer:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 11])
         self._still = background(scene.camera, scene.outdoors, scene.clutter, rng)
-        self._bytes = _expose(_blur(self._still))
+        self._grey = _develop(self._still)
         self._brightness = float(np.mean(scene.light.above + 0.5 * scene.light.power.sum(axis=0)))
         self._paints = [_vary(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
-        self._noise: NDArray[np.int16] | None = None
-        if scene.noise > 0.0:
-            shape = (scene.camera.height + _NOISE_MARGIN_PX, scene.camera.width + _NOISE_MARGIN_PX, 3)
-            self._noise = np.rint(scene.noise * rng.standard_normal(shape, dtype=np.float32)).astype(np.int16)
 
     def picture(self, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
-        image = self._bytes.copy()
+        grey = self._grey
         if layers := self._layers(t):
-            near, around = (_touched(layers, self.scene.camera, k * _BLUR_MARGIN_PX) for k in (1, 2))
-            part = self._still[around.slices].copy()
-            u, v = around[:2]
+            light, grey = self._still.copy(), grey.copy()
             for layer in layers:
-                lay(part, layer, (u, v))
-            inner = Window(near.left - u, near.top - v, near.right - u, near.bottom - v)
-            image[near.slices] = _expose(_blur(part)[inner.slices])
-        if self._noise is None:
-            return image
-        # one field of noise at another place in each frame: independent, at a fraction of the time
-        x, y = (int(k) for k in rng.integers(0, _NOISE_MARGIN_PX, 2))
-        noise = self._noise[y : y + image.shape[0], x : x + image.shape[1]]
-        return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+                lay(light, layer)
+            left, top, right, bottom = np.array([layer.window for layer in layers]).T
+            ends = np.array([[left.min(), top.min()], [right.max() - 1, bottom.max() - 1]])
+            near, around = (window(ends, k * _BLUR_MARGIN_PX, self.scene.camera) for k in (1, 2))
+            rows, columns = (
+                slice(a - b, c - b) for a, b, c in zip(near[1::-1], around[1::-1], near[:1:-1], strict=True)
+            )
+            grey[near.slices] = _develop(light[around.slices])[rows, columns]
+        return expose(grey, self.scene.noise, rng)
 
     def _layers(self, t: float) -> list[Layer]:
         """Return the layers of the moving objects at the mid-exposure `t`, s, farther centres first.
@@ -145,12 +137,6 @@ class WandRenderer:
         return t + exposure * ((np.arange(n) + 0.5) / n - 0.5)
 
 
-def _touched(layers: list[Layer], camera: InteriorOrientation, margin: int) -> Window:
-    """Return the window of all layers, with a margin, px."""
-    left, top, right, bottom = np.array([layer.window for layer in layers]).T
-    return window(np.array([[left.min(), top.min()], [right.max() - 1, bottom.max() - 1]]), margin, camera)
-
-
 def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:
     """Return varied paints, the same for each colour of a ball."""
     if share == 0.0:
@@ -160,11 +146,6 @@ def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:
     return np.clip(kinds * factors, 0.0, 0.95)[which.ravel()]
 
 
-def _blur(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=np.float32)
-
-
-def _expose(light: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Grey values of light."""
-    index = np.minimum(light * np.float32(4096.0), np.float32(16383.0)).astype(np.uint16)
-    return np.rint(_TONES[index]).astype(np.uint8)
+def _develop(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the grey values of light behind the lens."""
+    return develop(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX)).astype(np.float32)
