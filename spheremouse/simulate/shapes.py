@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, exp
 
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
 Vector = tuple[float, float, float]
@@ -145,8 +145,7 @@ def box(low: Vector, high: Vector, colour: Colour, turn: float = 0.0) -> list[Fa
     """Six faces of a box between two corners, turned by `turn` rad about the vertical through its middle."""
     lo, hi = np.array(low), np.array(high)
     middle, half = (lo + hi) / 2.0, (hi - lo) / 2.0
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    R = exp(np.array([0.0, turn, 0.0]))
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
     faces = []
     for axis in range(3):

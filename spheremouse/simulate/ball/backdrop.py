@@ -37,7 +37,8 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     view, alone = (s.viewpoint(ball=ball) for s in (scene, replace(scene, surroundings=())))
     picture = view.paint(rays, lambda surfaces, points: _values(scene, view, surfaces, points)).astype(np.float32)
     outline = alone.paint(rays, lambda surfaces, _: (surfaces > 0).astype(float)[:, None]).astype(np.float32)
-    return Backdrop(*(np.ascontiguousarray(picture[..., k]) for k in (slice(0, 3), slice(3, 6), 6)), outline[..., 0])
+    white, black, shown = (np.ascontiguousarray(picture[..., k]) for k in (slice(0, 3), slice(3, 6), 6))
+    return Backdrop(white, black, shown, outline[..., 0])
 
 
 def _values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array) -> Array:
@@ -69,9 +70,9 @@ class Layers(NamedTuple):
 
     scene: Scene
     alone: Backdrop  # the ball and nothing else: white and black are 0 beside it
-    room: NDArray[np.float32]  # (h, w, 3) everything but the ball
     front: NDArray[np.float32]  # (h, w, 1) fraction of each pixel with objects before the ball
-    painted: NDArray[np.float32]  # (h, w, 3) these objects, times that fraction
+    before: NDArray[np.float32]  # (h, w, 3) these objects, times that fraction
+    beside: NDArray[np.float32]  # (h, w, 3) all else but the ball, times the rest of the pixel
 
     def backdrop(self, centre: Array) -> Backdrop:
         """With the ball's centre at (3,) m in obj."""
@@ -85,7 +86,7 @@ class Layers(NamedTuple):
             for image in (self.alone.white, self.alone.black, self.alone.outline)
         )
         behind = np.float32(1.0) - self.front
-        rest = self.painted + behind * (np.float32(1.0) - outline[..., None]) * self.room
+        rest = self.before + (np.float32(1.0) - outline[..., None]) * self.beside
         pictures = (rest + behind * white, rest + behind * black, behind[..., 0] * outline, outline)
         return Backdrop(*(np.asarray(picture, dtype=np.float32) for picture in pictures))
 
@@ -102,12 +103,12 @@ def render_layers(scene: Scene) -> Layers:
     limb = scene.pose.to_cam(scene.pose.position * (scene.ball_radius / distance) ** 2)[2]
 
     def values(surfaces: Surfaces, points: Array) -> Array:
-        """Return grey values, then those of objects nearer than the ball's limb, then 1 on these objects, (n, 7)."""
-        front = (surfaces > 0) & (scene.pose.to_cam(points)[:, 2] < limb)
+        """Return grey values of objects nearer than the ball's limb, those of others, and 1 on the near, (n, 7)."""
+        front = ((surfaces > 0) & (scene.pose.to_cam(points)[:, 2] < limb))[:, None]
         grey = _values(scene, view, surfaces, points)[:, :3]
-        return np.column_stack([grey, front[:, None] * grey, front])
+        return np.column_stack([front * grey, ~front * grey, front])
 
     rays = rays_of(Window(0, 0, scene.camera.width, scene.camera.height), scene.camera)
     picture = view.paint(rays, values).astype(np.float32)
-    room, painted, front = picture[..., :3], picture[..., 3:6], picture[..., 6:]
-    return Layers(scene, render_backdrop(replace(scene, surroundings=())), room, front, painted)
+    before, beside, front = picture[..., :3], picture[..., 3:6], picture[..., 6:]
+    return Layers(scene, render_backdrop(replace(scene, surroundings=())), front, before, beside)

@@ -147,11 +147,9 @@ def place_hand(visit: HandVisit, scene: Scene, t: float) -> Layer | None:
 
 # ---- a film made worse ----
 
-_SEED = 0  # of the noise added: the same frame gets the same noise in every run
-
 
 def degrade(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
     """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
     for frame in frames:
-        rng = np.random.default_rng([_SEED, frame.sequence])
+        rng = np.random.default_rng([0, frame.sequence])  # the same in every run
         yield replace(frame, image=expose(frame.image.astype(np.float32), noise, rng, brightness))

@@ -48,6 +48,7 @@ _STATIONS = (
     (24.0, 26.0, 2.8, 90.0),  # rolled
 )
 _ROLLS = (0.0, -90.0, 0.0, 90.0, 0.0, 180.0)  # deg, of the photos beyond these, in turn
+_R2 = 1.0 / 1.324717957244746 ** np.array([1.0, 2.0])  # steps that fill a square evenly (Roberts 2018)
 
 
 # ---- around the device ----
@@ -56,28 +57,14 @@ _ROLLS = (0.0, -90.0, 0.0, 90.0, 0.0, 180.0)  # deg, of the photos beyond these,
 def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pose, ...]:
     """Poses for `n` photos that show the whole ball and three targets or more.
 
-    The first ones as a careful person takes them, the others as far from all before as the targets allow. Raises
-    ConfigurationError if no place is left.
+    The first ones as a careful person takes them, the others from all directions in turn. Raises ConfigurationError if
+    no place shows enough.
     """
-    found = [_station(scene, station, rng) for station in _STATIONS[:n]]
-    if n > len(_STATIONS):
-        grid = [(azimuth, elevation) for azimuth in range(-60, 61, 6) for elevation in (-14, -4, 8, 20, 32, 44)]
-        possible = [pose for at in grid if (pose := _standing(scene, *at, 2.45, 0.0)) is not None]
-        if not possible:
-            raise ConfigurationError("--photos: no other place shows three targets; take fewer photos")
-        toward = _directions(possible)
-        while len(found) < n:
-            # of equally remote places any; more photos than places go round again
-            lonely = np.sort(toward @ _directions(found).T, axis=1)[:, ::-1]
-            x, y, z = toward[int(np.argmin(lonely[:, 0] + 0.1 * lonely.mean(axis=1)))]
-            angles = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
-            roll = _ROLLS[len(found) % len(_ROLLS)]
-            found.append(_station(scene, (*angles, rng.uniform(2.1, 2.9), roll), rng))
-    return tuple(found)
-
-
-def _directions(poses: list[Pose]) -> Array:
-    return np.array([unit(pose.position - _AIM) for pose in poses])
+    stations = list(_STATIONS[:n])
+    for k in range(n - len(stations)):
+        azimuth, elevation = np.array([-60.0, -14.0]) + (120.0, 58.0) * np.mod(0.5 + (k + 1) * _R2, 1.0)
+        stations.append((azimuth, elevation, rng.uniform(2.1, 2.9), _ROLLS[k % len(_ROLLS)]))
+    return tuple(_station(scene, station, rng) for station in stations)
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:

@@ -139,7 +139,7 @@ class Surface:
     def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
         """Return the shares of pixels that discs cover at time `t` (of the middle row)."""
         directions = self.scene.disc_directions
-        turned, _ = self._directions_by_row(attitude_at, t, directions)
+        turned = self._directions_by_row(attitude_at, t, directions)
         row, column, disc = self._near_discs(turned)
         disc_directions = turned[disc]
         if self.scene.readout_s > 0.0:
@@ -221,21 +221,17 @@ class Surface:
         slope = np.einsum("ki,kij->kj", tangent_direction, dray) * (hits.depth / self.scene.ball_radius)[:, None]
         return np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(slope))
 
-    def _directions_by_row(
-        self, attitude_at: AttitudeAt, t: float, directions: Array, start: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return directions on the ball in `obj`, (n, 3), each at the time when its own row is exposed, and the times.
+    def _directions_by_row(self, attitude_at: AttitudeAt, t: float, directions: Array) -> Array:
+        """Return directions on the ball in `obj`, (n, 3), each at the time when its own row is exposed.
 
         `directions`, (n, 3), are in `ball`; `attitude_at` returns R_obj_ball at times, s. `t` is the time of the middle
-        row, and `start`, (n,), the times from which the search begins. With a global shutter all times are `t`.
+        row, and with a global shutter that of all.
         """
-        if self.scene.readout_s == 0.0:
-            return directions @ attitude_at(np.array([t]))[0].T, np.full(len(directions), t)
-        times = np.full(len(directions), t) if start is None else start
-        for _ in range(6):  # each round leaves the part disc speed / row speed of the error
-            turned = (attitude_at(times) @ directions[..., None])[..., 0]
+        turned = directions @ attitude_at(np.array([t]))[0].T
+        for _ in range(7 if self.scene.readout_s > 0.0 else 0):  # of the error, a round leaves disc / row speed
             times = t + self._row_time(self._project(turned)[0][:, 1])
-        return (attitude_at(times) @ directions[..., None])[..., 0], times
+            turned = (attitude_at(times) @ directions[..., None])[..., 0]
+        return turned
 
     def _project(self, directions: Array) -> tuple[Array, Array]:
         pose = self.scene.pose
@@ -257,15 +253,13 @@ class Surface:
         fills as it is seen, and with nothing in front of it. The result's `frame` is 0.
         """
         scene, n = self.scene, len(self.scene.disc_directions)
-        directions, times = self._directions_by_row(attitude_at, t, scene.disc_directions)
+        directions = self._directions_by_row(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
         discs = np.flatnonzero((angle < self._horizon) & self._present)
         middle = scene.disc_directions[discs]
         ring = np.cos(scene.disc_angle) * middle[:, None]
         ring = ring + np.sin(scene.disc_angle) * (circle(_POLYGON_CORNERS) @ np.swapaxes(tangent_basis(middle), 1, 2))
-        edges, _ = self._directions_by_row(
-            attitude_at, t, ring.reshape(-1, 3), np.repeat(times[discs], _POLYGON_CORNERS)
-        )
+        edges = self._directions_by_row(attitude_at, t, ring.reshape(-1, 3))
         blob, area = _polygon(self._project(edges)[0].reshape(len(discs), _POLYGON_CORNERS, 2))
         cut = angle[discs] + scene.disc_angle > self._horizon  # by the limb
         area[cut], blob[cut] = np.nan, np.nan

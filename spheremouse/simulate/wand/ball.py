@@ -70,7 +70,7 @@ def paint_ball(
         caps = tuple((R @ disc.direction, disc.angle) for disc in ball.discs)
         view = Viewpoint([Sphere(centre, ball.radius, paint_of(ball.body), caps)], AT_ORIGIN)
         paint.append(view.paint(rays, partial(_shade, ball, paints, centre, light)))
-    return Layer(place, np.mean(paint, axis=0, dtype=np.float32))
+    return Layer(place, np.asarray(np.mean(paint, axis=0), dtype=np.float32))
 
 
 def _shade(ball: WandBall, paints: Array, centre: Array, light: WandLight, surfaces: Surfaces, points: Array) -> Array:

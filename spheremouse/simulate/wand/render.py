@@ -148,4 +148,4 @@ def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:
 
 def _develop(light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the grey values of light behind the lens."""
-    return develop(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX)).astype(np.float32)
+    return develop(np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=float)).astype(np.float32)
