@@ -435,28 +435,6 @@ def test_limited_range_is_that_of_the_standard(small):
     assert (np.min(limited), np.max(limited)) >= (16, 200)
 
 
-def test_what_stands_still_is_not_rendered_anew_but_looks_the_same(small):
-    """The same pictures and truths, whatever was rendered before; noise is new in every frame."""
-    profile = roll(0.5)  # at rest from 1.5 s on
-    times = (1.4, 1.6, 1.7, 0.3, 1.8)
-    options, noise = RenderOptions(noise=5.0), rng(4)
-    kept = altered(small, options, exposure_s=0.02)
-    for k, t in enumerate(times):
-        state = noise.bit_generator.state
-        a = kept.frame(profile, t, k, noise)
-        again = rng()
-        again.bit_generator.state = state
-        b = altered(small, options, exposure_s=0.02).frame(profile, t, k, again)
-        assert np.array_equal(a.frame.image, b.frame.image)
-        assert np.array_equal(a.discs.centre, b.discs.centre)
-        assert np.array_equal(a.discs.state, b.discs.state)
-        assert set(a.discs.frame) == {k}
-    one, two = (kept.frame(profile, t, 0, noise).frame.image[20:220].astype(float) for t in (1.9, 2.0))
-    plain = small.frame(profile, 2.0, 0, rng()).frame.image[20:220]
-    grey = (plain > 60) & (plain < 150)
-    assert np.corrcoef(one[grey] - plain[grey], two[grey] - plain[grey])[0, 1] == pytest.approx(0.0, abs=0.02)
-
-
 def test_events_are_written_with_the_truth(tmp_path):
     options = SimulationOptions(
         size=(64, 48), motion="still", seconds=0.4, fps=10.0, bump=0.15, disc_moved=0.25, lift=0.05, lift_seconds=0.2

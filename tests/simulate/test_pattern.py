@@ -133,28 +133,6 @@ def test_a_pixel_shows_the_light_times_the_albedo_where_its_ray_hits(small, near
         assert np.array_equal(seen, np.clip(np.rint(white), 0.0, 255.0))
 
 
-@pytest.mark.parametrize("name", ["patches", "dirt"])
-def test_an_alignment_that_knows_the_albedo_finds_the_attitude_at_mid_exposure(small, name):
-    """One Gauss-Newton step from the truth: it would leave it if the film were not where its truth says."""
-    profile, step = play(20.0, rng(5)), 0.002
-    t = fastest_time(profile)
-    truth = profile.attitude(np.array([t]))[0]
-    renderer = painted(small, name, exposure_s=0.01)
-    white, black = small.backdrop.white, small.backdrop.black
-    turns = step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    albedo = [traced(Pattern(name, 1), points_of(small, 3), exp(turn) @ truth) for turn in turns]
-    slope = (np.array(albedo[1:4]) - albedo[4:]) / (2.0 * step)
-    whole = cv2.erode((small.backdrop.ball == 1.0).astype(np.uint8), np.ones((5, 5))) > 0  # without the limb
-    whole &= np.all(np.isfinite(albedo), axis=0)
-    light = (white - black)[whole][..., 1]
-    error = image(renderer, profile, t)[whole][..., 1] - black[whole][..., 1] - light * albedo[0][whole]
-    J = (light * slope[:, whole]).T
-    turned = np.linalg.lstsq(J, error, rcond=None)[0]
-    sigma = error.std() * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
-    assert np.all(np.degrees(sigma) < 0.01)
-    assert np.all(np.abs(turned) < 4.0 * sigma + np.radians(0.002))
-
-
 def test_discs_lie_on_the_pattern(small):
     """On a plain ball they are those of a ball without a pattern; on another they hide it."""
     discs = {"disc_directions": small.scene.disc_directions, "exposure_s": 0.02}

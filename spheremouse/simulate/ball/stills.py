@@ -68,28 +68,20 @@ def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pos
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
-    """Return a hand-held pose near this place. If it shows too few targets, move it nearer to the front."""
+    """Return a hand-held pose near this place that has all in view, farther or nearer to the front if need be."""
     azimuth, elevation, distance, roll = station
     for nearer in np.linspace(1.0, 0.0, 21):
         dx, dy, dr = rng.normal(0.0, (1.5, 1.5, 2.0))
-        pose = _standing(scene, nearer * azimuth + dx, nearer * elevation + dy, distance, roll + dr)
-        if pose is not None:
-            return pose
+        a, e = np.radians((nearer * azimuth + dx, nearer * elevation + dy))
+        direction = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+        for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
+            pose = looking(_AIM + reach * direction, _AIM, np.radians(roll + dr))
+            if _in_room(pose) and _shows(replace(scene, pose=pose)):
+                return pose
     raise ConfigurationError(
         f"--focal {scene.camera.fx:g}: no place in the room shows the whole ball and three targets with rings of "
         f"{_MIN_RING_PX:g} px or more; take another focal length or a larger --size"
     )
-
-
-def _standing(scene: Scene, azimuth: float, elevation: float, distance: float, roll: float) -> Pose | None:
-    """Return the camera in this direction from the device, far enough to have all in view; None if impossible."""
-    a, e = np.radians((azimuth, elevation))
-    direction = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
-    for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
-        pose = looking(_AIM + reach * direction, _AIM, np.radians(roll))
-        if _in_room(pose) and _shows(replace(scene, pose=pose)):
-            return pose
-    return None
 
 
 def _in_room(pose: Pose) -> bool:
@@ -110,29 +102,20 @@ def _shows(scene: Scene) -> bool:
     toward = unit(scene.pose.position)
     side = unit(np.cross(toward, (0.2, 1.0, 0.1)))
     limb = scene.ball_radius * circle(24) @ np.array([side, np.cross(toward, side)])
-    whole = np.all(_in_picture(scene.pose.to_cam(limb), scene.camera))
-    return bool(whole and np.sum(_facing(scene)[0]) >= 3 and np.sum(seen_targets(scene)) >= 3)
+    return bool(np.all(_in_picture(scene.pose.to_cam(limb), scene.camera)) and np.sum(seen_targets(scene)) >= 3)
 
 
 def seen_targets(scene: Scene) -> NDArray[np.bool_]:
-    """Return True, (n,), for targets that nothing hides and that have rings wide enough to be resolved."""
-    facing, cam = _facing(scene)
-    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
-    return facing & np.all(depth > cam[..., 2] - 1e-3, axis=1)
-
-
-def _facing(scene: Scene) -> tuple[NDArray[np.bool_], Array]:
-    """Return which targets would be seen wholly and large enough, were nothing in the way, (n,).
-
-    Also return points just within their outer circles, (n, 16, 3) m in cam.
-    """
-    rim = 0.98 * scene.targets.radii[2] * np.column_stack([circle(16), np.zeros(16)])
-    cam = scene.pose.to_cam(scene.targets.position[:, None] + rim)
+    """Return True, (n,), for targets that are whole, that nothing hides and that have rings wide enough."""
+    targets = scene.targets
+    rim = 0.98 * targets.radii[2] * np.column_stack([circle(16), np.zeros(16)])
+    cam = scene.pose.to_cam(targets.position[:, None] + rim)
     inside = np.all(_in_picture(cam.reshape(-1, 3), scene.camera).reshape(cam.shape[:2]), axis=1)
-    to_camera = scene.pose.position - scene.targets.position
+    to_camera = scene.pose.position - targets.position
     distance = np.linalg.norm(to_camera, axis=1)
-    width = np.min(np.diff(scene.targets.radii, prepend=0.0)) * scene.camera.fx / distance
-    return inside & (width * to_camera[:, 2] / distance > _MIN_RING_PX), cam
+    width = np.min(np.diff(targets.radii, prepend=0.0)) * scene.camera.fx / distance * to_camera[:, 2] / distance
+    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
+    return inside & (width > _MIN_RING_PX) & np.all(depth > cam[..., 2] - 1e-3, axis=1)
 
 
 def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
