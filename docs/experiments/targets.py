@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from experiments.kit import film as kit
 from experiments.kit.job import Job, Request, Result, Results
 from experiments.kit.render import Part, Plot, Table, by, tidy, where
-from experiments.kit.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
+from experiments.kit.tags import painted, tag, tag_cells, tag_corners
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Rig, Targets
@@ -28,7 +28,9 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.film import Scene, default_scene
-from spheremouse.simulate.ball.scene import frame, room
+from spheremouse.simulate.ball.scene import frame, ring_target, room
+from spheremouse.simulate.light import expose
+from spheremouse.simulate.shapes import Shape
 
 USUAL, NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
 TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"
@@ -78,11 +80,11 @@ def _radii(size: float) -> Array:
     return 1e-3 * size * np.array([1.0, 2.0, 3.0]) / 3.0
 
 
-def _sheets(kind: str, number: int, size: float) -> list[Sheet]:
+def _sheets(kind: str, number: int, size: float) -> list[list[Shape]]:
     where = places(number)
     if kind == "rings":
-        return [ring_sheet(p, _radii(size), code) for p, code in zip(where, CODES, strict=False)]
-    return [tag_sheet(p, 1e-3 * size, tag_cells(FAMILIES[kind], i)) for i, p in enumerate(where)]
+        return [ring_target(p, _radii(size), code) for p, code in zip(where, CODES, strict=False)]
+    return [tag(p, 1e-3 * size, tag_cells(FAMILIES[kind], i)) for i, p in enumerate(where)]
 
 
 def rig_of(kind: str, scene: Scene, number: int, size: float) -> Rig:
@@ -143,8 +145,7 @@ def noisy_pictures(picture: NDArray[np.float32], seed: int) -> Iterable[NDArray[
     """Yield the picture with noise, in bytes."""
     rng = np.random.default_rng([seed, 12])
     for _ in range(_VIEWS):
-        noise = np.float32(_NOISE) * rng.standard_normal(picture.shape, dtype=np.float32)
-        yield np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
+        yield expose(picture, _NOISE, rng)
 
 
 def _detected(kind: str, image: NDArray[np.uint8], rig: Rig) -> TargetDetections:

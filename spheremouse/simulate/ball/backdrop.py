@@ -7,6 +7,7 @@ depends on them. These pictures have no discs. `surface` adds the discs at their
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -35,13 +36,13 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     """Return the pictures of a scene. Without `ball`, all but the ball is there."""
     rays = rays_of(Window(0, 0, scene.camera.width, scene.camera.height), scene.camera)
     view, alone = (s.viewpoint(ball=ball) for s in (scene, replace(scene, surroundings=())))
-    picture = view.paint(rays, lambda surfaces, points: _values(scene, view, surfaces, points)).astype(np.float32)
+    picture = view.paint(rays, partial(grey_values, scene, view)).astype(np.float32)
     outline = alone.paint(rays, lambda surfaces, _: (surfaces > 0).astype(float)[:, None]).astype(np.float32)
     white, black, shown = (np.ascontiguousarray(picture[..., k]) for k in (slice(0, 3), slice(3, 6), 6))
     return Backdrop(white, black, shown, outline[..., 0])
 
 
-def _values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array) -> Array:
+def grey_values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array) -> Array:
     """Return grey values with a white and with a black ball, and 1 on the ball, (n, 7). No surface is black."""
     light, gloss, white = np.zeros((3, len(points), 3))
     index = surfaces // PARTS - 1
@@ -105,7 +106,7 @@ def render_layers(scene: Scene) -> Layers:
     def values(surfaces: Surfaces, points: Array) -> Array:
         """Return grey values of objects nearer than the ball's limb, those of others, and 1 on the near, (n, 7)."""
         front = ((surfaces > 0) & (scene.pose.to_cam(points)[:, 2] < limb))[:, None]
-        grey = _values(scene, view, surfaces, points)[:, :3]
+        grey = grey_values(scene, view, surfaces, points)[:, :3]
         return np.column_stack([front * grey, ~front * grey, front])
 
     rays = rays_of(Window(0, 0, scene.camera.width, scene.camera.height), scene.camera)

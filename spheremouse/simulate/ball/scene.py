@@ -31,6 +31,7 @@ _WALL: Colour = (0.33, 0.37, 0.36)
 _BOARDS: Colour = (0.105, 0.165, 0.235)
 
 FRONT = np.array([0.0, 0.0, 1.0])
+CARD_MARGIN = 1.22  # outer radii from the middle of a target to the edge of its card
 _FLOOR_Y, _BACK_Z, _SIDE_X, _TOP_Y = -1.15, -1.75, 2.7, 2.5
 
 STRIPS = (Strip((-0.3724, -0.2764), (-0.75, 0.277), 0.5489), Strip((0.2776, 0.3736), (-0.75, 0.277), 0.5489))
@@ -57,11 +58,15 @@ def frame(targets: Targets, bolt_radius: float) -> list[Shape]:
     for x, z in ((0.15, 0.38), (-0.15, 0.38), (0.22, -0.35), (-0.22, -0.35)):
         shapes += post((x, _FLOOR_Y, z), (x, -0.5, z), 0.022, _STEEL)
     for code, position in zip(targets.codes, targets.position, strict=True):
-        card = position - 0.001 * FRONT
-        half = 1.22 * targets.radii[2]
-        shapes.append(_card(card, half, half))
-        shapes += _rings(position, [(INK[c], float(r)) for c, r in zip(code, targets.radii, strict=True)])
+        shapes += ring_target(position, targets.radii, code)
     return shapes
+
+
+def ring_target(centre: Array, radii: Array, code: str) -> list[Shape]:
+    """Return a target with radii (3,) m on its card."""
+    half = CARD_MARGIN * float(radii[2])
+    rings = _rings(centre, [(INK[c], float(r)) for c, r in zip(code, radii, strict=True)])
+    return [card(centre - 0.001 * FRONT, half, half), *rings]
 
 
 def room() -> list[Shape]:
@@ -77,7 +82,7 @@ def room() -> list[Shape]:
     return shapes
 
 
-def _card(centre: Array, half_x: float, half_y: float, colour: Colour = PAPER, turn: float = 0.0) -> Face:
+def card(centre: Array, half_x: float, half_y: float, colour: Colour = PAPER, turn: float = 0.0) -> Face:
     """A sheet that faces the camera, turned in its own plane."""
     c, s = np.cos(turn), np.sin(turn)
     right, up = np.array([c, s, 0.0]) * half_x, np.array([-s, c, 0.0]) * half_y
@@ -153,7 +158,7 @@ def _posters() -> list[Shape]:
     shapes: list[Shape] = []
     z = _BACK_Z + 0.012
     for x, up, half_x, half_y, turn, marks in sheets:
-        shapes.append(_card(np.array([x, up, z]), half_x, half_y, PAPER, turn))
+        shapes.append(card(np.array([x, up, z]), half_x, half_y, PAPER, turn))
         for dx, dy, rings in marks:
             shapes += _rings(np.array([x + dx, up + dy, z + 0.004]), rings)
     for inner, outer, colour in ((0.0, 0.07, PAPER), (0.07, 0.21, BLACK)):
