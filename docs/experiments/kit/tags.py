@@ -20,7 +20,7 @@ from spheremouse.simulate.cast import rays_of
 from spheremouse.simulate.layers import window
 from spheremouse.simulate.shapes import Shape
 
-_MARGIN_PX = 2  # px around a sheet that are rendered anew
+_MARGIN_PX = 2  # px around a sheet that are rendered once more
 
 
 def tag(centre: Array, half: float, cells: NDArray[np.bool_]) -> list[Shape]:
