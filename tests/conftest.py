@@ -9,6 +9,7 @@ from collections import OrderedDict
 from dataclasses import fields
 from pathlib import Path
 
+import cv2
 import hypothesis
 import numpy as np
 import pytest
@@ -88,6 +89,15 @@ def datasets_dir() -> Path:
 @pytest.fixture
 def far26() -> Path:
     return datasets_dir() / "far26"
+
+
+def write_video(path, images, codec="FFV1", fps=30.0):
+    """Write images, (h, w, 3), as a video. Return it as a source."""
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, images[0].shape[1::-1])
+    for image in images:
+        video.write(image)
+    video.release()
+    return f"video:{path}"
 
 
 class Program:

@@ -53,9 +53,8 @@ def show(
     description = f"{found.text} on a ball of {saved.ball_radius:g} m"
     if saved.disc_radius is not None:
         description = f"{found.text} of radius {1e3 * saved.disc_radius:g} mm on a ball of {saved.ball_radius:g} m"
-    table.title = (
-        f"{file}: {description}; saved {saved.saved:%Y-%m-%d %H:%M %Z} ({age(saved)}) by spheremouse {saved.version}"
-    )
+    when = f"{saved.saved:%Y-%m-%d %H:%M %Z} ({age(saved.saved)})"
+    table.title = f"{file}: {description}; saved {when} by spheremouse {saved.version}"
     table_console().print(table)
 
 

@@ -58,13 +58,14 @@ def match(
     if settings is None:
         raise typer.Exit(_NO_MATCH)
     if out is not None:
-        write_atomically(out, _file(settings, f"{recording} and {log}", verdict.text))
+        about = f"Scale and axes of the trackball in {recording} and {log}.", verdict.text
+        write_atomically(out, "".join(f"# {' '.join(text.split())}\n" for text in about) + _configuration(settings))
         print(f"{out}: written; next: spheremouse run --config {out} ..., or copy its section into your own file")
     elif settings == before:
         print("the settings are right already")
     else:
         print("next: put these lines into your configuration, or let --out FILE write them:")
-        print(_section(settings), end="")
+        print(_configuration(settings).partition("\n")[2], end="")  # without its schema
 
 
 def _plan(
@@ -133,20 +134,13 @@ def _readable(frames: "Iterator[Frame]") -> "Iterator[Frame]":
         print(f"{e}; the frames before are used", file=sys.stderr)
 
 
-def _section(settings: "MotionSettings") -> str:
-    from spheremouse.files.config import to_yaml
+def _configuration(settings: "MotionSettings") -> str:
+    """Return scale and axes as the text of a configuration file."""
+    from spheremouse.files.exchange import settings_text
 
     keys = [k for k in _KEYS if k != "counts_per_mm" or settings.counts_per_radian is None]
     keys += ["invert_z"] if settings.invert_z else []
-    return "motion:\n" + "".join(f"  {key}: {to_yaml(getattr(settings, key))}\n" for key in keys)
-
-
-def _file(settings: "MotionSettings", source: str, verdict: str) -> str:
-    from spheremouse.files.config import KIND
-    from spheremouse.files.yaml import SCHEMAS
-
-    lines = [f"# {' '.join(text.split())}" for text in (f"Scale and axes of the trackball in {source}.", verdict)]
-    return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", _section(settings)])
+    return settings_text({f"motion.{key}": getattr(settings, key) for key in keys})
 
 
 def _print_match(found: "Match", verdict: "Verdict") -> None:

@@ -110,9 +110,9 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path, kind: str) -> None:
             )
 
 
-def age(saved: SavedMap) -> str:
-    """Return the time since a map was saved, in words."""
-    seconds = (datetime.now(UTC) - saved.saved).total_seconds()
+def age(then: datetime) -> str:
+    """Return the time since then, in words."""
+    seconds = (datetime.now(UTC) - then).total_seconds()
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.0f} {unit} ago"

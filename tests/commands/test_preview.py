@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from conftest import write_video
 from invoking import fail, succeed
 
 from spheremouse.ball.detect.appearance import ball_outline
@@ -22,17 +23,9 @@ def shot():
     return next(iter(simulate(film))).frame.image, film.scene.rig()
 
 
-def film_of(path, image):
-    out = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 30.0, (image.shape[1], image.shape[0]))
-    for _ in range(2):
-        out.write(image)
-    out.release()
-    return f"video:{path}"
-
-
 def test_the_picture_marks_the_targets_and_the_json_lists_them(spheremouse, shot, tmp_path):
     image, rig = shot
-    source = film_of(tmp_path / "f.avi", image)
+    source = write_video(tmp_path / "f.avi", [image] * 2)
     code, out, err = spheremouse("preview", source, "--out", tmp_path / "p.png", "--json")
     assert (code, err) == (0, "")
     seen = json.loads(out)
@@ -59,7 +52,7 @@ def test_the_picture_marks_the_targets_and_the_json_lists_them(spheremouse, shot
     ],
 )
 def test_each_fault_is_reported_with_its_remedy(spheremouse, shot, tmp_path, change, words):
-    source = film_of(tmp_path / "f.avi", change(shot[0]))
+    source = write_video(tmp_path / "f.avi", [change(shot[0])] * 2)
     code, out, err = spheremouse("preview", source, "--out", tmp_path / "p.png")
     assert (code, err) == (0, "")
     for each in words:
@@ -69,13 +62,13 @@ def test_each_fault_is_reported_with_its_remedy(spheremouse, shot, tmp_path, cha
 def test_a_rig_of_another_device_is_reported(spheremouse, shot, tmp_path):
     image, rig = shot
     (tmp_path / "rig.yaml").write_text(rig_text(rig).replace(rig.targets.codes[0], "YCM"))
-    source = film_of(tmp_path / "f.avi", image)
+    source = write_video(tmp_path / "f.avi", [image] * 2)
     _, out, _ = spheremouse("preview", source, "--out", tmp_path / "p.png", "--rig", tmp_path / "rig.yaml")
     assert f"3 of the rig's 4 targets: {' '.join(rig.targets.codes[1:])}; not in the rig: {rig.targets.codes[0]}" in out
 
 
 def test_an_error_is_one_line_and_leaves_no_file(spheremouse, shot, tmp_path):
-    source = film_of(tmp_path / "f.avi", shot[0])
+    source = write_video(tmp_path / "f.avi", [shot[0]] * 2)
     before = sorted(tmp_path.iterdir())
     for words, said in (
         ((source, "--at", "9"), "gave no frame from 9 s on: give a smaller --at"),

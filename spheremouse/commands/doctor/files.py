@@ -102,11 +102,11 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
     diameter = "unknown size" if rig.scale_free else f"{2.0 * rig.ball.radius:.3g} m"
-    text = f"{path}: {verb} {_since(days)}; {targets}, ball of {diameter}"
+    text = f"{path}: {verb} {age(made)}; {targets}, ball of {diameter}"
     return classify(
         "rig",
         text,
-        (days < -1.0, Verdict.WARNING, "", "its date lies ahead: set this computer's clock"),
+        (days < -1.0, Verdict.WARNING, f"; that date is {-days:.0f} days ahead", "set this computer's clock"),
         age_days=round(days, 1),
         targets=len(rig.targets.codes),
     )
@@ -136,7 +136,7 @@ def map_of(path: Path | None, rig: Rig | None, settings: Settings) -> Finding:
             check_fits(saved, rig, path, map_kind(rig, settings))
     except ConfigurationError as e:
         return warning("map", *str(e).partition("; ")[::2])
-    return ok("map", f"{path}: {saved.map.text}, saved {age(saved)}", known=round(saved.map.amount))
+    return ok("map", f"{path}: {saved.map.text}, saved {age(saved.saved)}", known=round(saved.map.amount))
 
 
 def _calibration_time(path: Path) -> tuple[datetime, str]:
@@ -147,9 +147,3 @@ def _calibration_time(path: Path) -> tuple[datetime, str]:
     except (TypeError, KeyError, ValueError):
         return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"
     return made if made.tzinfo is not None else made.replace(tzinfo=UTC), "calibrated"
-
-
-def _since(days: float) -> str:
-    if days < -1.0:
-        return f"{-days:.0f} days from now"
-    return "today" if days < 1.0 else f"{days:.0f} day{'' if round(days) == 1 else 's'} ago"

@@ -1,5 +1,6 @@
 """Remove names of people and computers, and serial numbers, from a report for others."""
 
+import contextlib
 import getpass
 import os
 import platform
@@ -66,12 +67,8 @@ def _users() -> list[str]:
 
 def _serials() -> list[str]:
     """Return serial numbers of USB devices, without those of root hubs, which contain colons."""
-    found = []
-    try:
+    found = list[str]()
+    with contextlib.suppress(OSError):
         for path in _USB.glob("*/serial"):
-            number = path.read_text(encoding="utf-8", errors="replace").strip()
-            if len(number) >= 4 and ":" not in number:
-                found.append(number)
-    except OSError:
-        pass
-    return found
+            found.append(path.read_text(encoding="utf-8", errors="replace").strip())
+    return [number for number in found if len(number) >= 4 and ":" not in number]

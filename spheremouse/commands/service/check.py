@@ -32,7 +32,7 @@ def check_files(place: Place) -> Finding:
     user = " --user" if place.user else ""
     program, trouble = service.executable(place)
     missing, other = list[Path](), list[Path]()
-    for name, path in place.files():
+    for name, path in place.files.items():
         # a program that cannot be the service's did not place these files, so their text may differ
         if not os.path.lexists(path):
             missing.append(path)

@@ -24,78 +24,46 @@ _NETWORKS = ("multicast", "link-local", "localhost")  # names of IPAddressAllow,
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
 
-@dataclass(frozen=True, slots=True)
 class Place:
     """Paths of the system's service, or of the user's own one, all below `root`."""
 
-    root: Path = Path("/")
-    user: bool = False
-
-    @property
-    def configuration(self) -> Path:
-        """Folder of config.yaml and rig.yaml."""
-        return self._users("XDG_CONFIG_HOME", ".config") / "spheremouse" if self.user else self.at("/etc/spheremouse")
-
-    @property
-    def unit(self) -> Path:
-        return self.files()[0][1]
-
-    @property
-    def link(self) -> Path:
-        return self.link_of(self.unit)
+    def __init__(self, root: Path = Path("/"), user: bool = False) -> None:
+        self.root, self.user = root, user
+        if user:
+            configuration = self._users("XDG_CONFIG_HOME", ".config")
+            placed = {
+                "systemd/spheremouse-user.service": configuration / "systemd" / "user" / UNIT,
+                "systemd/spheremouse-view-user.service": configuration / "systemd" / "user" / VIEW_UNIT,
+                "desktop/spheremouse-tray.desktop": configuration / "autostart" / "spheremouse-tray.desktop",
+            }
+        else:
+            configuration = self.at("/etc")
+            placed = {
+                "systemd/spheremouse.service": configuration / "systemd" / "system" / UNIT,
+                "systemd/spheremouse-view.service": configuration / "systemd" / "system" / VIEW_UNIT,
+                "systemd/sysusers.conf": configuration / "sysusers.d" / "spheremouse.conf",
+                "systemd/tmpfiles.conf": configuration / "tmpfiles.d" / "spheremouse.conf",
+                "systemd/modules-load.conf": configuration / "modules-load.d" / "spheremouse.conf",
+                "udev/70-spheremouse.rules": configuration / "udev" / "rules.d" / "70-spheremouse.rules",
+                "desktop/90-spheremouse-xorg.conf": configuration / "X11" / "xorg.conf.d" / "90-spheremouse.conf",
+                "desktop/spheremouse-tray.desktop": configuration / "xdg" / "autostart" / "spheremouse-tray.desktop",
+            }
+        self.files = placed  # by their names in the folder `service/`
+        self.unit, *_ = placed.values()
+        self.units = [self.unit, self.unit.with_name(VIEW_UNIT)]
+        self.configuration = configuration / "spheremouse"  # config.yaml and rig.yaml
+        state = self._users("XDG_STATE_HOME", ".local/state") if user else self.at("/var/lib")
+        self.state = state / "spheremouse"  # map and recordings; a user's map is beside the rig
+        self.changes = self.unit.with_name(f"{UNIT}.d")  # those by `systemctl edit`
+        self.network = self.changes / "spheremouse-network.conf"  # allows network addresses
+        token = [] if user else [state / "spheremouse-view"]  # of the live page
+        self.folders = [self.configuration, self.state, *token, self.changes]
+        self.link = self.link_of(self.unit)
 
     def link_of(self, unit: Path) -> Path:
         """Return the symbolic link that makes systemd start a unit."""
         target = "default.target.wants" if self.user else "multi-user.target.wants"
         return unit.parent / target / unit.name
-
-    @property
-    def units(self) -> list[Path]:
-        """The daemon's unit and the live page's."""
-        return [self.unit, self.unit.with_name(VIEW_UNIT)]
-
-    @property
-    def changes(self) -> Path:
-        """Folder of the changes by `systemctl edit`."""
-        return self.unit.with_name(f"{UNIT}.d")
-
-    @property
-    def network(self) -> Path:
-        """The file that allows network addresses."""
-        return self.changes / "spheremouse-network.conf"
-
-    @property
-    def state(self) -> Path:
-        """Folder of map and recordings; a user's map is beside the rig."""
-        users = self._users("XDG_STATE_HOME", ".local/state") / "spheremouse"
-        return users if self.user else self.at("/var/lib/spheremouse")
-
-    @property
-    def folders(self) -> list[Path]:
-        """The service's own folders; the live page's token is in one of the system's."""
-        token = [] if self.user else [self.at("/var/lib/spheremouse-view")]
-        return [self.configuration, self.state, *token, self.changes]
-
-    def files(self) -> list[tuple[str, Path]]:
-        """Return name in the folder `service/` and path of each file to place, the unit first."""
-        if self.user:
-            configuration = self._users("XDG_CONFIG_HOME", ".config")
-            return [
-                ("systemd/spheremouse-user.service", configuration / "systemd" / "user" / UNIT),
-                ("systemd/spheremouse-view-user.service", configuration / "systemd" / "user" / VIEW_UNIT),
-                ("desktop/spheremouse-tray.desktop", configuration / "autostart" / "spheremouse-tray.desktop"),
-            ]
-        places = {
-            "systemd/spheremouse.service": f"/etc/systemd/system/{UNIT}",
-            "systemd/spheremouse-view.service": f"/etc/systemd/system/{VIEW_UNIT}",
-            "systemd/sysusers.conf": "/etc/sysusers.d/spheremouse.conf",
-            "systemd/tmpfiles.conf": "/etc/tmpfiles.d/spheremouse.conf",
-            "systemd/modules-load.conf": "/etc/modules-load.d/spheremouse.conf",
-            "udev/70-spheremouse.rules": "/etc/udev/rules.d/70-spheremouse.rules",
-            "desktop/90-spheremouse-xorg.conf": "/etc/X11/xorg.conf.d/90-spheremouse.conf",
-            "desktop/spheremouse-tray.desktop": "/etc/xdg/autostart/spheremouse-tray.desktop",
-        }
-        return [(name, self.at(path)) for name, path in places.items()]
 
     def at(self, path: str | Path) -> Path:
         """Return an absolute path below the root."""
@@ -169,7 +137,7 @@ def _unreadable_reason(path: Path) -> str:
 def refuse_unsafe(place: Place) -> None:
     """Raise ServiceError if a link leads out of the root, or if this is root and others may change a folder."""
     folders = [place.root, place.link.parent, place.changes, place.configuration, place.state.parent]
-    folders += [path.parent for _, path in place.files()]
+    folders += [path.parent for path in place.files.values()]
     for folder in dict.fromkeys(map(_existing, folders)):
         with os_errors_as(ServiceError, f"{folder}: cannot be examined"):
             if not folder.resolve().is_relative_to(place.root):
@@ -184,7 +152,7 @@ def refuse_unsafe(place: Place) -> None:
 def install(place: Place, program: str, allow: Sequence[str] = ()) -> Iterator[FileAction]:
     """Yield the actions that are left until the service is in place. Addresses in `allow` replace earlier ones."""
     fresh = [unit for unit in place.units if not unit.exists()]
-    texts = {path: render_file(name, program) for name, path in place.files()}
+    texts = {path: render_file(name, program) for name, path in place.files.items()}
     if allow:
         texts[place.network] = network_text(allow)
     for path, text in texts.items():
@@ -203,7 +171,7 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
     """Yield the actions that remove the service. Configuration, calibration and map stay unless `purge`."""
     for link in filter(Path.is_symlink, map(place.link_of, place.units)):
         yield FileAction("disable", link, link.unlink)
-    for path in (*(path for _, path in place.files()), place.network):
+    for path in (*place.files.values(), place.network):
         if os.path.lexists(path):
             yield FileAction("remove", path, path.unlink)
     config = place.configuration / "config.yaml"
@@ -293,7 +261,7 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
 
 def may(place: Place) -> bool:
     """Return True if this account can write into the folders of the files."""
-    return all(os.access(_existing(path.parent), os.W_OK | os.X_OK) for _, path in place.files())
+    return all(os.access(_existing(path.parent), os.W_OK | os.X_OK) for path in place.files.values())
 
 
 def _existing(folder: Path) -> Path:

@@ -114,7 +114,7 @@ class MapKeeper:
         self._under_way = self._over = False
         self._last_message = ""  # of the last save; empty if it had none
         if loaded is not None:
-            log(f"map: {path}: {loaded.map.text}, saved {age(loaded)}")
+            log(f"map: {path}: {loaded.map.text}, saved {age(loaded.saved)}")
         if not self._writable:
             log(f"map: {path.parent}: not writable: the daemon cannot save this run's map")
 

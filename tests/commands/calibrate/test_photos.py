@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import CAMERA, picture, places
-from conftest import datasets_dir
+from conftest import datasets_dir, write_video
 from invoking import refusal
 from typer.testing import CliRunner
 
@@ -44,16 +44,13 @@ refused = partial(refusal, SpheremouseError, run)
 
 def film(path, poses):
     """A video of two pictures at each place, and one on the way to the next."""
-    rng = np.random.default_rng(3)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, SIZE)
-    assert writer.isOpened()
+    rng, images = np.random.default_rng(3), []
     for R, t in zip(*poses, strict=True):
         image = picture(R, t)
         for frame in (image, image, np.roll(image, 6, axis=1)):
             noisy = np.clip(np.rint(frame + rng.normal(0.0, 1.0, frame.shape)), 0, 255).astype(np.uint8)
-            writer.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return f"video:{path}"
+            images.append(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
+    return write_video(path, images, fps=10.0)
 
 
 @pytest.mark.slow

@@ -342,7 +342,7 @@ def test_the_rig_and_its_age(tmp_path, far26):
     told = files.rig_file(path, rig, None)
     assert (told.verdict, told.values["age_days"] > 1000, "calibrated" in told.text) == (OK, True, True)
     save_rig(path, rig)
-    assert "written today" in files.rig_file(path, rig, None).text
+    assert "written just now" in files.rig_file(path, rig, None).text
     os.utime(path, (4e9, 4e9))
     assert "set this computer's clock" in files.rig_file(path, rig, None).advice
     assert files.rig_file(None, None, None).verdict is UNCHECKED

@@ -3,9 +3,9 @@
 import json
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
+from conftest import write_video
 from experiments.kit.balls import contrast_ball
 from scipy.spatial.transform import Rotation
 
@@ -176,28 +176,19 @@ def test_balls_that_disagree_about_a_colour_are_refused(spheremouse, hand, tmp_p
     assert said.startswith(f"{tmp_path / 'b.yaml'}: colours.dark: other bounds than in {tmp_path / 'a.yaml'}")
 
 
-def video(path, images):
-    height, width = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (width, height))
-    for image in images:
-        writer.write(image)
-    writer.release()
-    return f"video:{path}"
-
-
 def test_a_film_without_the_ball_ends_in_words(spheremouse, camera, tmp_path):
     rng = np.random.default_rng(0)
     room = rng.integers(60, 140, (360, 480, 3), dtype=np.uint8)
     room[50:75, 50:400] = (30, 30, 190)  # a red shelf and a blue curtain
     room[100:360, 420:] = (190, 60, 30)
     words = (*WAND, "--camera", camera, "--output", "null", "--source")
-    said = refused(spheremouse(*words, video(tmp_path / "room.avi", [room] * 4)))
+    said = refused(spheremouse(*words, write_video(tmp_path / "room.avi", [room] * 4, "MJPG")))
     assert "no ball like grzonka in view: hold it into the picture" in said
     assert said.endswith("(looked for in 4 frames)")
     grey = np.repeat(room[:, :, :1], 3, axis=2)
-    said = refused(spheremouse(*words, video(tmp_path / "grey.avi", [grey] * 4)))
+    said = refused(spheremouse(*words, write_video(tmp_path / "grey.avi", [grey] * 4, "MJPG")))
     assert "(the frames are grey, or dark)" in said
-    said = refused(spheremouse(*words, video(tmp_path / "small.avi", [room[:240, :320]] * 4)))
+    said = refused(spheremouse(*words, write_video(tmp_path / "small.avi", [room[:240, :320]] * 4, "MJPG")))
     assert said.startswith("frame 0 is 320x240, the camera was calibrated at 480x360: set the camera to that mode")
 
 

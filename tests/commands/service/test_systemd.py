@@ -65,14 +65,14 @@ def home(tmp_path, monkeypatch):
 def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     call("install", root=root)
     once = tree(root)
-    assert {str(p.relative_to(root)) for _, p in Place(root).files()} < set(once)
+    assert {str(p.relative_to(root)) for p in Place(root).files.values()} < set(once)
     for unit in (UNIT, UNIT.replace("spheremouse.", "spheremouse-view.")):
         assert once[f"etc/systemd/system/multi-user.target.wants/{Path(unit).name}"] == f"/{unit}"
     assert (
         f"ExecStart={sys.prefix}/bin/spheremouse run --realtime --config /etc/spheremouse/config.yaml\n"
         in (root / UNIT).read_text()
     )
-    assert len([p for p in root.rglob("*") if p.is_file()]) == len(Place(root).files()) + 1
+    assert len([p for p in root.rglob("*") if p.is_file()]) == len(Place(root).files) + 1
     assert not [path for path, text in once.items() if re.search(r"@[A-Z0-9]+@", text)]  # nothing is unfilled
     assert "all files are in place" in call("install", root=root)
     assert tree(root) == once
@@ -129,7 +129,7 @@ def test_a_dry_run_says_all_and_does_nothing(root):
         before = tree(root)
         said = call(command, "--dry-run", root=root)
         assert tree(root) == before
-        assert all(str(path) in said for _, path in Place(root).files())
+        assert all(str(path) in said for path in Place(root).files.values())
         call("install", root=root)
 
 
