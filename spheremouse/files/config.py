@@ -14,18 +14,9 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files import yaml
 from spheremouse.files.validate import CONFIG_SHOW, Part, nearest, validate
-from spheremouse.files.yaml import (
-    SCHEMAS,
-    Document,
-    Key,
-    Problem,
-    dotted,
-    parse_document,
-    parse_value,
-    read_document,
-    without_schema,
-)
+from spheremouse.files.yaml import SCHEMAS, Document, Key, Problem, dotted
 
 S = TypeVar("S")
 
@@ -42,11 +33,11 @@ _JOINED = "\u00a0"  # a space at which a comment does not wrap
 
 def load(path: Path, root: type[S]) -> S:
     """Read a configuration file: `root()` with the values of the file."""
-    return loads(read_document(path), root)
+    return loads(yaml.read_document(path), root)
 
 
 def loads(document: Document, root: type[S]) -> S:
-    document = without_schema(document, KIND)
+    document = yaml.without_schema(document, KIND)
     names = [field.name for field in dataclasses.fields(typing.cast(Any, root))]
     strange = [key for key in document.data if key not in names]
     if len(strange) > max(2, len(document.data) // 2):  # too many for mistyped keys
@@ -115,7 +106,7 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     if not equals or not key:
         raise ConfigurationError(f"{label}{assignment}: not KEY=VALUE; write for example section.name=1.5")
     try:
-        value = parse_value(text, f"{label}{key}")
+        value = yaml.parse_value(text, f"{label}{key}")
     except ConfigurationError as e:
         raise ConfigurationError(str(e).replace(f"{label}{key}:1: ", f"{label}{key}: ", 1)) from None
     known = dict(parameters(settings))
@@ -222,7 +213,7 @@ def to_yaml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        plain = value.isidentifier() and value.isascii() and parse_document(value, "").data == value
+        plain = value.isidentifier() and value.isascii() and yaml.parse_document(value, "").data == value
         return value if plain else _quote(value)
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"

@@ -15,17 +15,7 @@ from spheremouse.ball.detect.projection import CANDIDATES, GREY, normalise
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.ball_map import (
-    SavedMap,
-    age,
-    check_fits,
-    load_map,
-    map_path,
-    map_text,
-    old_path,
-    save_map,
-    saved_now,
-)
+from spheremouse.files import ball_map
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import tangent_basis
 
@@ -47,17 +37,17 @@ def random_map(seed, discs, rank=None):
 
 
 def saved(disc_map):
-    return SavedMap(disc_map, 0.6, 0.02, WHEN, "0.1.0")
+    return ball_map.SavedMap(disc_map, 0.6, 0.02, WHEN, "0.1.0")
 
 
 def read_back(folder, saved_map):
-    save_map(folder / "m.yaml", saved_map)
-    return load_map(folder / "m.yaml")
+    ball_map.save_map(folder / "m.yaml", saved_map)
+    return ball_map.load_map(folder / "m.yaml")
 
 
 @pytest.fixture
 def good():
-    return map_text(saved(random_map(0, 6)))
+    return ball_map.map_text(saved(random_map(0, 6)))
 
 
 @settings(max_examples=30)
@@ -112,19 +102,19 @@ def test_the_axes_of_a_disc_on_the_seam_of_the_tangent_basis_stay(tmp_path):
 def test_a_map_of_120_discs_is_a_small_file(tmp_path):
     assert len(read_back(tmp_path, saved(random_map(3, 120))).map) == 120
     assert (tmp_path / "m.yaml").stat().st_size < 250_000
-    assert len(map_text(saved(random_map(3, 26)))) < 16_000
+    assert len(ball_map.map_text(saved(random_map(3, 26)))) < 16_000
 
 
 def test_names_and_date():
-    assert map_path(Path("at/rig.yaml")) == Path("at/rig.map.yaml")
-    assert map_path(Path("my.rig.yaml")) == Path("my.rig.map.yaml")
-    assert old_path(Path("at/rig.map.yaml")) == Path("at/rig.map.old.yaml")
-    now = saved_now(random_map(0, 5), RIG)
+    assert ball_map.map_path(Path("at/rig.yaml")) == Path("at/rig.map.yaml")
+    assert ball_map.map_path(Path("my.rig.yaml")) == Path("my.rig.map.yaml")
+    assert ball_map.old_path(Path("at/rig.map.yaml")) == Path("at/rig.map.old.yaml")
+    now = ball_map.saved_now(random_map(0, 5), RIG)
     assert (now.ball_radius, now.disc_radius) == (0.6, 0.02)
     assert abs(now.saved - datetime.now(UTC)) < timedelta(minutes=1)
-    assert age(now.saved) == "just now"
-    assert age(now.saved - timedelta(hours=5, minutes=10)) == "5 hours ago"
-    assert age(now.saved - timedelta(days=400)) == "400 days ago"
+    assert ball_map.age(now.saved) == "just now"
+    assert ball_map.age(now.saved - timedelta(hours=5, minutes=10)) == "5 hours ago"
+    assert ball_map.age(now.saved - timedelta(days=400)) == "400 days ago"
 
 
 @pytest.mark.parametrize(
@@ -156,14 +146,14 @@ def test_a_file_cut_off_anywhere_or_with_a_byte_changed_is_refused_or_still_a_ma
     for end in rng.integers(0, len(raw) - 2, 40):
         path.write_bytes(raw[:end])
         with pytest.raises(ConfigurationError) as e:
-            load_map(path)
+            ball_map.load_map(path)
         assert "\n" not in str(e.value)
     for _ in range(60):
         text = bytearray(raw)
         text[rng.integers(len(text))] = rng.integers(256)
         path.write_bytes(bytes(text))
         try:
-            loaded = load_map(path)
+            loaded = ball_map.load_map(path)
         except ConfigurationError:
             continue
         assert np.linalg.eigvalsh(loaded.map.covariance).min() > -1e-12
@@ -172,10 +162,10 @@ def test_a_file_cut_off_anywhere_or_with_a_byte_changed_is_refused_or_still_a_ma
 
 def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
     made = saved(random_map(0, 6))
-    check_fits(made, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path, "discs")  # calibrated anew
+    ball_map.check_fits(made, replace(RIG, ball=Ball(0.61), disc_radius=0.022), tmp_path, "discs")  # calibrated anew
     for rig, problem in (
         (replace(RIG, ball=Ball(0.03)), "was made with a ball of radius 0.6 m, the rig has 0.03 m: name this"),
         (replace(RIG, disc_radius=0.01), "was made with discs of radius 0.02 m, the rig has 0.01 m: name this"),
     ):
         with pytest.raises(ConfigurationError, match=re.escape(problem)):
-            check_fits(made, rig, tmp_path, "discs")
+            ball_map.check_fits(made, rig, tmp_path, "discs")

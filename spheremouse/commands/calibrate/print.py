@@ -42,36 +42,29 @@ def print_(
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
     from spheremouse.calibrate.board import NAME, Pattern, parse_board
+    from spheremouse.calibrate.prints import sheets
     from spheremouse.calibrate.prints.page import pdf
-    from spheremouse.calibrate.prints.sheets import (
-        board_page,
-        charuco,
-        chessboard,
-        disc_pages,
-        largest_square,
-        mm,
-        recipe,
-        target_pages,
-    )
 
     kinds, size = set(only or Kind), paper
     corners = parse_board(board)
-    side = largest_square(corners, size) if square is None else _millimetres("--square", square)
+    side = sheets.largest_square(corners, size) if square is None else _millimetres("--square", square)
     if side < _MIN_LENGTH:
         raise CalibrationError(f"--board {board}: too many corners for one page of {size}; give a --square")
     made: dict[str, bytes] = {}
     if Kind.TARGETS in kinds:
         radii = parse_radii(ring_radii)
-        made[f"targets-{'-'.join(mm(r) for r in radii)}mm-{size}.pdf"] = pdf(target_pages(radii, size), "Ring targets")
+        made[f"targets-{'-'.join(sheets.mm(r) for r in radii)}mm-{size}.pdf"] = pdf(
+            sheets.target_pages(radii, size), "Ring targets"
+        )
     if Kind.BOARDS in kinds:
-        for pattern in (chessboard(corners, side), charuco(corners, side)):
-            made[f"{pattern.file}-{size}.pdf"] = pdf([board_page(pattern, size)], pattern.name)
+        for pattern in (sheets.chessboard(corners, side), sheets.charuco(corners, side)):
+            made[f"{pattern.file}-{size}.pdf"] = pdf([sheets.board_page(pattern, size)], pattern.name)
         made[NAME] = Pattern(corners.columns, corners.rows, side / 1000).text.encode()
     if Kind.DISCS in kinds:
         radius = _millimetres("--disc-radius", disc_radius)
-        made[f"discs-{discs}-{mm(radius)}mm-{size}.pdf"] = pdf(disc_pages(discs, radius, size), "Discs")
+        made[f"discs-{discs}-{sheets.mm(radius)}mm-{size}.pdf"] = pdf(sheets.disc_pages(discs, radius, size), "Discs")
     if Kind.RECIPE in kinds:
-        made["recipe.html"] = recipe(corners, side, size).encode()
+        made["recipe.html"] = sheets.recipe(corners, side, size).encode()
     _write(out, made, force)
     steps = ["print the PDF files at 100 % (actual size) and check the rulers"] if kinds != {Kind.RECIPE} else []
     steps += [f"print {out / 'recipe.html'} from a browser and follow it"] if Kind.RECIPE in kinds else []

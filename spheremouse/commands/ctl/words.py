@@ -8,15 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse.errors import printable
-from spheremouse.session.control.status import (
-    BallStatus,
-    CameraStatus,
-    OutputStatus,
-    PoseStatus,
-    Quantiles,
-    RecordingStatus,
-    StatusReport,
-)
+from spheremouse.session.control import status
 
 _COLOURS = {
     "starting": "cyan",
@@ -32,7 +24,7 @@ _MIN_SHIFT_MM = 2.0  # that the discs show for certain
 _STATE_COLUMNS = 2 + max(map(len, _COLOURS))
 
 
-def status_table(s: StatusReport) -> Panel:
+def status_table(s: status.StatusReport) -> Panel:
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")
@@ -90,7 +82,7 @@ def _json(value: Any) -> str:
     return printable(value if isinstance(value, str) else json.dumps(value))
 
 
-def event_line(event: StatusReport | str, clock: str) -> Text:
+def event_line(event: status.StatusReport | str, clock: str) -> Text:
     """Return an event of `watch` in one line that begins with `clock`, the time as text."""
     if isinstance(event, str):
         return Text.assemble((clock, "dim"), "  ", _text(event))
@@ -112,30 +104,30 @@ def event_line(event: StatusReport | str, clock: str) -> Text:
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
 
 
-def _state(s: StatusReport) -> Text:
+def _state(s: status.StatusReport) -> Text:
     name = printable(s.state)
     return Text(f"● {name}", style=_COLOURS.get(name, ""))
 
 
-def _frames(s: StatusReport) -> str:
+def _frames(s: status.StatusReport) -> str:
     lost = {"skipped": s.skipped, "dropped": s.dropped, "damaged": s.damaged}
     parts = [f"{n} {word}" for word, n in lost.items() if n]
     return ", ".join([f"{s.fps:.1f}/s, {s.frames} in all", *parts])
 
 
-def _latency(ms: Quantiles | None) -> str:
+def _latency(ms: status.Quantiles | None) -> str:
     if ms is None:
         return "-"
     half, slow, longest = (_number(value, ".1f") for value in (ms.p50, ms.p99, ms.max))
     return f"median {half} ms, 99 % {slow} ms, longest {longest} ms"
 
 
-def _motion(s: StatusReport) -> Text:
+def _motion(s: status.StatusReport) -> Text:
     words = s.motion.words if s.motion else "not known"
     return _text(words + "; counts x {:+d}, y {:+d}, third {:+d}".format(*s.counts))
 
 
-def _ball(ball: BallStatus) -> Text:
+def _ball(ball: status.BallStatus) -> Text:
     words = f"{ball.name} {ball.state}"
     place, angles, sigma, turned = ball.position_m, ball.angles_deg, ball.sigma_mm, ball.sigma_deg
     if place and angles and sigma and turned:
@@ -144,13 +136,13 @@ def _ball(ball: BallStatus) -> Text:
     return _text(words)
 
 
-def _pose(pose: PoseStatus | None) -> str:
+def _pose(pose: status.PoseStatus | None) -> str:
     if pose is None:
         return "not known"
     return f"{span(pose.age_s)} old, within {max(pose.sigma_mm):.1f} mm (1 sigma)"
 
 
-def _camera(camera: CameraStatus) -> Text:
+def _camera(camera: status.CameraStatus) -> Text:
     """Return one camera of two, with the reason why it takes no part."""
     text = _text(f"{camera.description or camera.spec}, {camera.frames} frames")
     if camera.trouble:
@@ -158,7 +150,7 @@ def _camera(camera: CameraStatus) -> Text:
     return text
 
 
-def _output(output: OutputStatus, reason: str) -> Text:
+def _output(output: status.OutputStatus, reason: str) -> Text:
     """Return the line of an output. A failure that is the `reason` of the state is not repeated."""
     text = _text(output.spec)
     if output.failed:
@@ -173,7 +165,7 @@ def _output(output: OutputStatus, reason: str) -> Text:
     return text
 
 
-def _recording(r: RecordingStatus) -> Text:
+def _recording(r: status.RecordingStatus) -> Text:
     dropped = f", {r.dropped} dropped" if r.dropped else ""
     return _text(f"{r.folder}: {r.frames} frames, {span(r.seconds)}, {1e-6 * r.bytes:.0f} MB{dropped}")
 

@@ -10,22 +10,8 @@ from pydantic import Field
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import ConfigurationError, DatasetError
-from spheremouse.files.dataset.format import (
-    BLOB_COLUMNS,
-    DISC_COLUMNS,
-    MATRIX_COLUMNS,
-    MOTION_COLUMNS,
-    CameraEntry,
-    Entry,
-    Positive,
-    SceneEntry,
-    check_frames,
-    check_times,
-    described,
-    is_rotation,
-    read_description,
-    rotations,
-)
+from spheremouse.files.dataset import format as scene_format
+from spheremouse.files.dataset.format import CameraEntry, Entry, Positive, SceneEntry, described
 from spheremouse.files.dataset.frames import Recorded, fractional, recorded_fields
 from spheremouse.files.rig import load_rig
 from spheremouse.files.rig.models import Code
@@ -84,16 +70,16 @@ class _Scene(SceneEntry):
 def open_frames(path: Path) -> RecordedBall:
     """Read a dataset as `open_dataset` does, but of its truth the stamps alone: a table of discs takes long to read."""
     times, table = None, path / "truth.csv"
-    scene = read_description(path, _read_scene)
+    scene = scene_format.read_description(path, _read_scene)
     if table.exists():
-        times = _read_motion(table, MOTION_COLUMNS[:2], scene.frames)["t"]
+        times = _read_motion(table, scene_format.MOTION_COLUMNS[:2], scene.frames)["t"]
     return RecordedBall(**_recording_fields(path, scene, times))
 
 
 def open_dataset(path: Path | str) -> Recording:
     """Read and check the description of a dataset folder; DatasetError names the invalid file."""
     path = Path(path)
-    scene = read_description(path, _read_scene)
+    scene = scene_format.read_description(path, _read_scene)
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
     directions = None
@@ -116,7 +102,7 @@ def _recording_fields(path: Path, scene: _Scene, truth_times: Array | None) -> d
 
 def _turn(path: Path, scene: _Scene) -> Array:
     turn = np.eye(3) if scene.truth_R_first_obj is None else np.array(scene.truth_R_first_obj, dtype=float)
-    if not is_rotation(turn):
+    if not scene_format.is_rotation(turn):
         raise DatasetError(f"{path / 'scene.json'}: truth_R_first_obj: not a rotation (3 x 3)")
     return turn
 
@@ -183,28 +169,28 @@ def _pose(place: str, key: str, matrix: _Matrix4 | None) -> Pose | None:
     if matrix is None:
         return None
     T = np.array(matrix, dtype=float)
-    if not is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
+    if not scene_format.is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
         raise DatasetError(f"{place}{key}: not a rotation and a translation (4 x 4, last row 0 0 0 1)")
     return pose_from_matrix(T)
 
 
 def _read_truth(path: Path, frames: int) -> Truth:
-    table = _read_motion(path, MOTION_COLUMNS, frames)
-    attitude = rotations(path, table, MATRIX_COLUMNS)
+    table = _read_motion(path, scene_format.MOTION_COLUMNS, frames)
+    attitude = scene_format.rotations(path, table, scene_format.MATRIX_COLUMNS)
     return Truth(table["t"], attitude, np.stack([table[c] for c in ("wx", "wy", "wz")], axis=1))
 
 
 def _read_motion(path: Path, columns: tuple[str, ...], frames: int) -> dict[str, Array]:
     """Read columns of truth.csv, with frame and t. Raises DatasetError unless they increase with the rows."""
     table = read_columns(path, columns, most=frames)
-    check_frames(path, table, frames)
-    check_times(path, table["t"])
+    scene_format.check_frames(path, table, frames)
+    scene_format.check_times(path, table["t"])
     return table
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:
     """Read discs.csv; nan for empty cells of blob and area. DatasetError: a number is not whole or not in range."""
-    table = read_columns(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
+    table = read_columns(path, scene_format.DISC_COLUMNS, optional=scene_format.BLOB_COLUMNS)
     frame, *others = (table[c] for c in ("frame", "disc", "state"))
     if any(map(fractional, (frame, *others))) or np.any((frame < 0) | (frame >= frames)):
         raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame from 0 to {frames - 1}")

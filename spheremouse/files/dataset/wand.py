@@ -12,20 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.format import (
-    MATRIX_COLUMNS,
-    CameraEntry,
-    Entry,
-    Positive,
-    SceneEntry,
-    camera_description,
-    check_frames,
-    check_times,
-    described,
-    read_description,
-    read_json,
-    rotations,
-)
+from spheremouse.files.dataset import format as scene_format
+from spheremouse.files.dataset.format import CameraEntry, Entry, Positive, SceneEntry
 from spheremouse.files.dataset.frames import Recorded, recorded_fields
 from spheremouse.files.tables import read_columns
 from spheremouse.files.wand import angles_of, disc_of
@@ -33,7 +21,7 @@ from spheremouse.files.yaml import Document
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.wand.ball import WandBall, WandTruth
 
-WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
+WAND_COLUMNS = ("frame", "t", "x", "y", "z", *scene_format.MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
 _AXES = (
     "origin = ball centre, z = pole (away from robot / stick), x = azimuth 0, y = azimuth 90 (right-handed, "
     "counter-clockwise seen from above); disc = spherical cap, diameter = chord of its rim, "
@@ -86,7 +74,7 @@ class _Scene(SceneEntry):
 def is_wand(path: Path | str) -> bool:
     """Return True for the folder of a recording of hand-held balls; False if it cannot be read."""
     try:
-        data = read_json(Path(path) / "scene.json").data
+        data = scene_format.read_json(Path(path) / "scene.json").data
     except DatasetError:
         return False
     return isinstance(data, dict) and "wand" in data
@@ -95,7 +83,7 @@ def is_wand(path: Path | str) -> bool:
 def open_wand(path: Path | str) -> WandRecording:
     """Read scene.json, truth.csv and stamps.csv of a wand dataset. DatasetError names the invalid file."""
     path = Path(path)
-    scene = read_description(path, _read_scene)
+    scene = scene_format.read_description(path, _read_scene)
     wands = {"wand": scene.wand} if scene.wands is None else {f"wands.{k}": w for k, w in enumerate(scene.wands)}
     truth = path / "truth.csv"
     truths = _read_truths(truth, scene.frames, len(wands)) if truth.exists() else ()
@@ -109,7 +97,7 @@ def open_wand(path: Path | str) -> WandRecording:
 def _read_scene(document: Document) -> _Scene:
     if isinstance(document.data, dict) and "wand" not in document.data:
         raise DatasetError(f"{document.name}no `wand` in it; this is no recording of a wand, leave --tracker wand out")
-    scene = described(document, _Scene)
+    scene = scene_format.described(document, _Scene)
     if scene.wands == ():
         raise DatasetError(f"{document.name}wands: is empty; leave it out where there is one ball")
     if scene.wands is not None and scene.wand != scene.wands[0]:
@@ -133,12 +121,12 @@ def columns_of(ball: int) -> tuple[str, ...]:
 
 def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
     table = read_columns(path, (*WAND_COLUMNS[:2], *(c for k in range(balls) for c in columns_of(k))), most=frames)
-    check_frames(path, table, frames)
-    check_times(path, table["t"])
+    scene_format.check_frames(path, table, frames)
+    scene_format.check_times(path, table["t"])
     truths = []
     for k in range(balls):
         position, matrix = columns_of(k)[:3], columns_of(k)[3:]
-        rotation = rotations(path, table, matrix)
+        rotation = scene_format.rotations(path, table, matrix)
         truths.append(WandTruth(table["t"], np.stack([table.pop(c) for c in position], axis=1), rotation))
     return tuple(truths)
 
@@ -149,7 +137,7 @@ def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict
     return {
         "width": int(camera.width),
         "height": int(camera.height),
-        "camera": camera_description(camera),
+        "camera": scene_format.camera_description(camera),
         "wand": described[0],
         **({"wands": described} if len(described) > 1 else {}),
     }

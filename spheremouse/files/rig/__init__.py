@@ -17,14 +17,7 @@ from ruamel.yaml import YAML
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets, found_from_picture
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig.checks import camera_problems, rig_problems
-from spheremouse.files.rig.models import (
-    CameraFile,
-    CameraPart,
-    RigFile,
-    block_diagonal,
-    matrix,
-    targets_covariance,
-)
+from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, block_diagonal, matrix, targets_covariance
 from spheremouse.files.safe_files import write_atomically
 from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMAS

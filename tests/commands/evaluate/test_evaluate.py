@@ -18,24 +18,9 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluation import plot
+from spheremouse.evaluation import metrics, plot
 from spheremouse.evaluation.bound import Bound, Sight, manoeuvre, posterior_bound
 from spheremouse.evaluation.detection import detection_quality
-from spheremouse.evaluation.metrics import (
-    attitude_error,
-    bound_ratio,
-    correlation,
-    frame_times,
-    identified_from,
-    lost_episodes,
-    mean_nees,
-    mean_nis,
-    pearson,
-    pose_error,
-    rate_roughness,
-    report,
-    surface_speeds,
-)
 from spheremouse.evaluation.run import Reference, Run
 from spheremouse.evaluation.table import consistency, path_notes
 from spheremouse.files.ball_map import save_map, saved_now
@@ -91,7 +76,7 @@ def perfect_run(truth, detected=None, used=None):
 
 
 def figures(run, reference, found=None, frames=None):
-    return report(run, reference, RIG, dataset="d", tracker="so3", frames=frames or len(run.frame), found=found)
+    return metrics.report(run, reference, RIG, dataset="d", tracker="so3", frames=frames or len(run.frame), found=found)
 
 
 def test_attitude_errors_are_rotation_vectors_in_obj():
@@ -99,7 +84,7 @@ def test_attitude_errors_are_rotation_vectors_in_obj():
     truth = random_motion(50).attitude
     e = np.linspace(0.0, 1.0, 50)[:, None] * [0.3, -0.5, 0.7]
     estimate = Rotation.from_rotvec(e).as_matrix() @ truth @ Rotation.random(rng=1).as_matrix()
-    assert_allclose(attitude_error(estimate, truth), e, atol=1e-13)
+    assert_allclose(metrics.attitude_error(estimate, truth), e, atol=1e-13)
 
 
 def test_the_first_frames_error_is_taken_as_turning_with_the_ball():
@@ -107,7 +92,7 @@ def test_the_first_frames_error_is_taken_as_turning_with_the_ball():
     truth, e = random_motion(50).attitude, np.array([0.02, -0.01, 0.03])
     moved = truth @ truth[0].T
     expected = (Rotation.from_rotvec(e) * Rotation.from_rotvec(moved @ -e)).as_rotvec()
-    assert_allclose(attitude_error(Rotation.from_rotvec(e).as_matrix() @ truth, truth), expected, atol=1e-14)
+    assert_allclose(metrics.attitude_error(Rotation.from_rotvec(e).as_matrix() @ truth, truth), expected, atol=1e-14)
 
 
 def test_surface_speed_is_what_the_mouse_does_per_second():
@@ -119,7 +104,7 @@ def test_surface_speed_is_what_the_mouse_does_per_second():
     )
     run = perfect_run(truth)
     run = replace(run, rotation=run.rotation * 1.01, status=(*(T,) * 10, Status.LOST, *(T,) * 19))
-    sent, true = surface_speeds(run, truth, 0.6)
+    sent, true = metrics.surface_speeds(run, truth, 0.6)
     kept = [k for k in range(1, 30) if k not in {10, 11}]
     assert_allclose(true, travel[:, :2][np.array(kept) - 1] * (1.0, -1.0), rtol=1e-9, atol=1e-9)
     assert_allclose(sent, 1.01 * true, rtol=1e-9, atol=1e-9)
@@ -130,8 +115,8 @@ def test_pearson():
     a = rng.normal(size=(200, 2))
     b = 0.5 * a + rng.normal(size=(200, 2)) + [0.0, 3.0]
     x, y, both = (pearsonr(a[:, i].ravel("F"), b[:, i].ravel("F"))[0] for i in ([0], [1], [0, 1]))
-    assert correlation(a, b) == pytest.approx({"x": x, "y": y, "combined": both})
-    assert pearson(np.ones(5), np.arange(5.0)) is None
+    assert metrics.correlation(a, b) == pytest.approx({"x": x, "y": y, "combined": both})
+    assert metrics.pearson(np.ones(5), np.arange(5.0)) is None
 
 
 def test_nees_of_errors_drawn_from_their_covariances():
@@ -139,18 +124,18 @@ def test_nees_of_errors_drawn_from_their_covariances():
     rng = np.random.default_rng(4)
     L = rng.normal(size=(20_000, 3, 3))
     e = np.einsum("nij,nj->ni", L, rng.normal(size=(20_000, 3)))
-    assert mean_nees(e, L @ L.transpose(0, 2, 1)) == pytest.approx(3.0, abs=5 * math.sqrt(6.0 / 20_000))
+    assert metrics.mean_nees(e, L @ L.transpose(0, 2, 1)) == pytest.approx(3.0, abs=5 * math.sqrt(6.0 / 20_000))
     thin = L[:, :, :2]  # rank 2
     e = np.einsum("nij,nj->ni", thin, rng.normal(size=(20_000, 2)))
-    assert mean_nees(e, thin @ thin.transpose(0, 2, 1)) == pytest.approx(2.0, abs=5 * math.sqrt(4.0 / 20_000))
-    assert mean_nees(2.0 * np.eye(3)[:1], np.array([np.diag([4.0, 1.0, 1.0])])) == pytest.approx(1.0)
-    assert mean_nees(np.full((1, 3), np.nan), np.eye(3)[None]) is None
+    assert metrics.mean_nees(e, thin @ thin.transpose(0, 2, 1)) == pytest.approx(2.0, abs=5 * math.sqrt(4.0 / 20_000))
+    assert metrics.mean_nees(2.0 * np.eye(3)[:1], np.array([np.diag([4.0, 1.0, 1.0])])) == pytest.approx(1.0)
+    assert metrics.mean_nees(np.full((1, 3), np.nan), np.eye(3)[None]) is None
 
 
 def test_lost_episodes_are_counted_once_each():
-    assert lost_episodes([S, T, L, L, T, L, T]) == 2
-    assert lost_episodes([L, T]) == 1
-    assert lost_episodes([S, T]) == lost_episodes([]) == 0
+    assert metrics.lost_episodes([S, T, L, L, T, L, T]) == 2
+    assert metrics.lost_episodes([L, T]) == 1
+    assert metrics.lost_episodes([S, T]) == metrics.lost_episodes([]) == 0
 
 
 def disc_truth(*rows):
@@ -213,7 +198,7 @@ def test_pose_error_in_obj_axes():
     turn = np.deg2rad([0.1, -0.2, 0.3])
     P = np.diag(np.square([1e-3, 2e-3, 3e-3, *np.deg2rad([0.05, 0.06, 0.07])]))
     found = Pose((Rotation.from_rotvec(turn) * Rotation.from_matrix(POSE.rotation)).as_matrix(), POSE.position, P)
-    error = pose_error(replace(found, position=np.add(POSE.position, [1e-3, 0.0, -2e-3])), POSE)
+    error = metrics.pose_error(replace(found, position=np.add(POSE.position, [1e-3, 0.0, -2e-3])), POSE)
     assert_allclose(error["position_mm"], [1.0, 0.0, -2.0], atol=1e-12)
     assert_allclose(error["angle_deg"], [0.1, -0.2, 0.3], atol=1e-10)
     assert_allclose(error["sigma_position_mm"], [1.0, 2.0, 3.0])
@@ -221,11 +206,11 @@ def test_pose_error_in_obj_axes():
 
 
 def test_frame_times_add_the_stages_of_each_frame():
-    times = frame_times({"detect": np.array([1e-3, 2e-3, 9e-3]), "filter": np.array([5e-4, 1e-4, 1e-3])})
+    times = metrics.frame_times({"detect": np.array([1e-3, 2e-3, 9e-3]), "filter": np.array([5e-4, 1e-4, 1e-3])})
     assert times["median"] == pytest.approx(2100.0)
     assert times["max"] == pytest.approx(10_000.0)
     assert times["p99"] == pytest.approx(2100.0 + 0.98 * 7900.0)
-    assert frame_times({}) == {"median": None, "p99": None, "max": None}
+    assert metrics.frame_times({}) == {"median": None, "p99": None, "max": None}
 
 
 def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
@@ -238,9 +223,9 @@ def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
     phase = (T,) * 500 + (L,) * 500 + (T,) * 3000
     run = replace(perfect_run(truth, used=used), nis=nis, status=phase)
     freedom = 2 * sum(len(u) for u in used[1000:])
-    assert mean_nis(run) == pytest.approx(1.0, abs=5 * math.sqrt(2.0 / freedom))
-    assert mean_nis(replace(run, nis=None)) is None
-    assert mean_nis(replace(run, status=(L,) * 4000)) is None
+    assert metrics.mean_nis(run) == pytest.approx(1.0, abs=5 * math.sqrt(2.0 / freedom))
+    assert metrics.mean_nis(replace(run, nis=None)) is None
+    assert metrics.mean_nis(replace(run, status=(L,) * 4000)) is None
 
 
 DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "recall_axis", "centre_rms_60_px"]
@@ -306,11 +291,11 @@ def test_the_roughness_of_white_noise_in_the_rate_is_known_and_that_of_a_steady_
     n = 4000
     truth = Truth(np.arange(n) / 30.0, np.tile(np.eye(3), (n, 1, 1)), np.outer(np.arange(n), [0.1, 0.0, -0.2]))
     run = perfect_run(truth)
-    assert rate_roughness(run) == pytest.approx(0.0, abs=1e-6)
+    assert metrics.rate_roughness(run) == pytest.approx(0.0, abs=1e-6)
     noisy = replace(run, rate=run.rate + np.random.default_rng(1).normal(0.0, np.deg2rad(0.5), (n, 3)))
     # the second difference of white noise has six times its variance, here in three components
     expected = 0.5 * math.sqrt(3 * 6)
-    assert rate_roughness(noisy) == pytest.approx(expected, rel=0.05)
+    assert metrics.rate_roughness(noisy) == pytest.approx(expected, rel=0.05)
 
 
 def test_a_missing_scale_or_drift_has_its_reason():
@@ -361,7 +346,7 @@ def test_identified_is_the_first_frame_whose_attitude_is_absolute():
     """Counted in the recording, from whichever of its frames the run began."""
     truth = random_motion(20)
     run = replace(perfect_run(truth), frame=np.arange(4, 24), absolute=np.arange(20) >= 3)
-    assert identified_from(run) == 7
+    assert metrics.identified_from(run) == 7
     assert figures(run, Reference())["identified_from_frame"] == 7
     assert figures(perfect_run(truth), Reference())["identified_from_frame"] is None
 
@@ -479,7 +464,7 @@ def test_bound_ratio_leaves_out_the_first_frame():
     bound = Bound(np.tile(np.eye(3), (3, 1, 1)), np.tile(4.0 * np.eye(3), (3, 1, 1)))
     bound.rate[0] = 1e9
     e = np.array([[9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [0.0, 3.0, 0.0]])
-    assert bound_ratio(e, e, bound) == pytest.approx({"attitude": 2**0.5, "rate": 0.5**0.5})
+    assert metrics.bound_ratio(e, e, bound) == pytest.approx({"attitude": 2**0.5, "rate": 0.5**0.5})
 
 
 @pytest.fixture(scope="module")

@@ -114,13 +114,7 @@ def test_the_rig_comes_from_what_is_known_beforehand(made, folder):
     recording = open_dataset(made)
     rig = recording.rig
     assert (recording.name, recording.fps, recording.frames, recording.exposure_s) == ("made up", 25.0, FRAMES, 0.004)
-    assert (rig.camera.width, rig.camera.height, rig.camera.fx, rig.camera.fy, rig.camera.cx) == (
-        64,
-        48,
-        60.0,
-        61.0,
-        31.5,
-    )
+    assert (rig.camera.width, rig.camera.height, *rig.camera.intrinsic) == (64, 48, 60.0, 61.0, 31.5, 24.0)
     assert rig.camera.distortion.tolist() == [0.1, -0.2, 0.001, 0.002, 0.03]
     assert (rig.ball.radius, rig.disc_radius, rig.exposure_s) == (0.6, 0.02, 0.004)
     assert (rig.targets.ids, rig.targets.codes, rig.targets.position.tolist()) == ((4,), ("MCY",), [[0.1, 0.2, 0.3]])
