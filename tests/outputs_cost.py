@@ -10,9 +10,9 @@ OUTPUT with spaces is several outputs of one run, and the table has the time for
 """
 
 import argparse
+import multiprocessing
 import os
-import subprocess
-import sys
+import socket
 import tempfile
 import time
 from contextlib import ExitStack, contextmanager
@@ -59,24 +59,8 @@ GREETINGS = {  # of a receiver
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n",
     "watch": '{"command": "watch", "interval": 60, "samples": true}\n',
 }
-# Reads from a port, as the first words say, until it is killed.
-RECEIVER = r"""
-import socket, sys, time
-kind, place, greeting = sys.argv[1:]
-families = {"udp": (socket.AF_INET, socket.SOCK_DGRAM), "watch": (socket.AF_UNIX, socket.SOCK_STREAM)}
-families["osc"], families["spacenav"] = families["udp"], families["watch"]
-family, type_ = families.get(kind, (socket.AF_INET, socket.SOCK_STREAM))
-address = place if family == socket.AF_UNIX else ("127.0.0.1", int(place))
-s = socket.socket(family, type_)
-if type_ == socket.SOCK_DGRAM:
-    s.bind(address)
-else:
-    while s.connect_ex(address):
-        s.close(); time.sleep(0.02); s = socket.socket(family)
-    s.sendall(greeting.encode())
-while s.recv(65536):
-    pass
-"""
+UNIX = ("spacenav", "watch")  # outputs with a socket in a folder
+DATAGRAMS = ("osc", "udp")
 
 
 def report(k):
@@ -95,20 +79,49 @@ def report(k):
     return Report((20, -20, 3), (20 * FPS, -20 * FPS, 0.0), k / FPS, (sample,))
 
 
+def connect(kind, place, buffer=1 << 18):
+    """Return a socket that gets what an output sends, with a receive buffer of some bytes."""
+    client = socket.socket(
+        socket.AF_UNIX if kind in UNIX else socket.AF_INET,
+        socket.SOCK_DGRAM if kind in DATAGRAMS else socket.SOCK_STREAM,
+    )
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+    if kind in DATAGRAMS:
+        client.bind(place)
+    else:
+        client.connect(place)
+        client.sendall(GREETINGS.get(kind, "").encode())
+    return client
+
+
+def read(kind, place):
+    """Read what an output sends."""
+    client = connect(kind, place)
+    while client.recv(65536):
+        pass
+
+
 @contextmanager
 def receiver(spec):
     """Run the receiver of an output in another process, if it needs one."""
     kind, _, rest = spec.partition(":")
-    if kind not in ("udp", "osc", "tcp", "ws", "spacenav", "watch"):
+    if kind not in (*UNIX, *DATAGRAMS, "tcp", "ws"):
         yield
         return
-    arguments = [kind, rest.split(",")[0], GREETINGS.get(kind, "")]
-    with subprocess.Popen([sys.executable, "-c", RECEIVER, *arguments]) as process:
-        time.sleep(0.5)
-        try:
-            yield
-        finally:
-            process.terminate()
+    place = rest.split(",")[0]
+    arguments = (kind, place if kind in UNIX else ("127.0.0.1", int(place)))
+    process = multiprocessing.get_context("spawn").Process(target=read, args=arguments)
+    process.start()
+    time.sleep(5.0)  # until it has loaded its modules
+    try:
+        yield
+    finally:
+        process.kill()
+
+
+def median(values):
+    """Return the median of some values, and the ends of its interval of 95 %."""
+    return np.median(values), *quantile_test(values, p=0.5).confidence_interval(0.95)
 
 
 class Thread(Output):
@@ -174,10 +187,9 @@ def cost(specs, rounds):
                 spent[spec].append(processor_time(publish[spec]))
     print("| output | a sample | 95 % interval of the median |\n| --- | --- | --- |")
     for spec in specs:
-        each = 1e3 * (np.array(spent[spec]) - spent[""]) / len(publish[spec])
-        low, high = quantile_test(each, p=0.5).confidence_interval(0.95)
+        middle, low, high = median(1e3 * (np.array(spent[spec]) - spent[""]) / len(publish[spec]))
         name = spec.replace("{port}", "PORT").replace("{folder}/", "")
-        print(f"| `{name}` | {np.median(each):.3f} ms | {low:.3f} to {high:.3f} ms |")
+        print(f"| `{name}` | {middle:.3f} ms | {low:.3f} to {high:.3f} ms |")
 
 
 def main() -> None:

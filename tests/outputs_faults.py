@@ -19,7 +19,6 @@ import contextlib
 import os
 import selectors
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -27,29 +26,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import quantile_test
 
-from tests.outputs_cost import GREETINGS
+from tests.outputs_cost import connect, median
 from tests.reporting import free_port, until
 
 SETTLE = 0.5  # s of each spell that are not measured
-BUFFER = 1 << 18  # bytes, of a receiver without a fault
+SMALL_BUFFER = 4096  # bytes, of a receiver with a fault
 LIFE = 1.0  # s, of a client that is killed
-
-
-def connect(kind, place, buffer=4096):
-    """Return a socket that gets what an output sends, with a receive buffer of some bytes."""
-    client = socket.socket(
-        socket.AF_UNIX if kind == "spacenav" else socket.AF_INET,
-        socket.SOCK_DGRAM if kind in ("osc", "udp") else socket.SOCK_STREAM,
-    )
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
-    if kind in ("osc", "udp"):
-        client.bind(place)
-    else:
-        client.connect(place)
-        client.sendall(GREETINGS.get(kind, "").encode())
-    return client
 
 
 def be_killed(places, _):
@@ -59,7 +42,7 @@ def be_killed(places, _):
             signal.setitimer(signal.ITIMER_REAL, LIFE)
             with selectors.DefaultSelector() as selector:
                 for kind, place in places.items():
-                    selector.register(connect(kind, place), selectors.EVENT_READ)
+                    selector.register(connect(kind, place, SMALL_BUFFER), selectors.EVENT_READ)
                 while True:
                     for key, _ in selector.select():
                         key.fileobj.recv(65536)
@@ -68,7 +51,7 @@ def be_killed(places, _):
 
 def be_slow(places, pipe):
     """Read a byte a second from every output and from a pipe until the end of the process."""
-    clients = {kind: connect(kind, place) for kind, place in places.items()}
+    clients = {kind: connect(kind, place, SMALL_BUFFER) for kind, place in places.items()}
     while True:
         time.sleep(1.0)
         os.read(pipe, 1)
@@ -77,7 +60,7 @@ def be_slow(places, pipe):
                 if client.recv(1):
                     continue
             client.close()
-            clients[kind] = connect(kind, places[kind])
+            clients[kind] = connect(kind, places[kind], SMALL_BUFFER)
 
 
 def be_idle(*_):
@@ -126,7 +109,7 @@ def measure(folder, rounds, seconds):
         os.mkfifo(f"{scratch}/pipe")
         pipe = os.open(f"{scratch}/pipe", os.O_RDWR)
         mouse, frames = free_port(), free_port()
-        read = [stack.enter_context(connect("udp", ("127.0.0.1", port), BUFFER)) for port in (mouse, frames)]
+        read = [stack.enter_context(connect("udp", ("127.0.0.1", port))) for port in (mouse, frames)]
         outputs = [f"udp:{mouse},format=reports", f"udp:{frames}", f"tcp:{tcp}", f"ws:{ws}", f"osc:{osc}"]
         outputs += [f"spacenav:{place}", f"text:{scratch}/pipe", f"csv:{scratch}/table.csv"]
         words = ["--replay", "--no-status", "--source", f"dataset:{folder}"]
@@ -138,7 +121,7 @@ def measure(folder, rounds, seconds):
         until(lambda: os.path.exists(place))
         time.sleep(5.0)  # until the ball is tracked
         places = {kind: ("127.0.0.1", port) for kind, port in (("tcp", tcp), ("ws", ws), ("osc", osc))}
-        read.append(stack.enter_context(connect("tcp", places["tcp"], BUFFER)))
+        read.append(stack.enter_context(connect("tcp", places["tcp"])))
         places["spacenav"] = place
         found = {name: [] for name in FAULTS}
         for _ in range(rounds):
@@ -166,9 +149,8 @@ def main() -> None:
         p99 = {fault: np.array([np.quantile(one[k], 0.99) for one in spells]) for fault, spells in found.items()}
         cells = []
         for fault in ("killed", "slow"):
-            change = 100.0 * (p99[fault] / p99["none"] - 1.0)
-            low, high = quantile_test(change, p=0.5).confidence_interval(0.95)
-            cells.append(f"{np.median(change):+.1f} % ({low:+.1f} to {high:+.1f})")
+            middle, low, high = median(100.0 * (p99[fault] / p99["none"] - 1.0))
+            cells.append(f"{middle:+.1f} % ({low:+.1f} to {high:+.1f})")
         print(f"| {name} | {1e3 * np.median(p99['none']):.2f} ms | {' | '.join(cells)} |")
 
 
