@@ -11,10 +11,7 @@ from spheremouse.finding import Finding
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """Open the frames of a dataset, and its rig; `realtime` plays them at their own pace.
-
-    Raises SourceError without a folder, DatasetError if the dataset is invalid.
-    """
+    """Open the frames of a dataset, and its rig. Raise SourceError without a folder, DatasetError if it is invalid."""
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     recording = open_frames(Path(argument))
@@ -23,5 +20,4 @@ def open(argument: str, realtime: bool) -> Stream:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the folder exists."""
     return [probe_path(Path(argument))]

@@ -55,10 +55,7 @@ class Streamed:
         self._offset: float | None = None  # s, clock minus stamp of the first frame
 
     def next(self, timeout: float) -> RawFrame | None:
-        """Return the next frame; `timeout` has no effect.
-
-        Raises EndOfSource at the end of a recording, SourceError if a camera stops.
-        """
+        """Return the next frame. Raise EndOfSource at the end of a recording, SourceError if a camera stops."""
         try:
             frame = next(self._frames, None)
         except SpheremouseError as e:

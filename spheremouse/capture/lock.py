@@ -17,30 +17,20 @@ from spheremouse.errors import SourceError
 def locked(node: Path) -> Iterator[None]:
     """Lock a device within the `with` block. Raises SourceError with the process that holds the lock.
 
-    A node that cannot be opened is not locked: the camera reports that error when it opens the node.
+    A node that cannot be opened, or has no locks, is not locked: the camera reports the error when it opens the node.
     """
-    held: int | None = None
-    with contextlib.suppress(OSError):
-        held = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        if held is not None:
-            _lock(held, node)
+    with contextlib.ExitStack() as stack:
+        try:
+            held = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            stack.callback(os.close, held)
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = "another spheremouse" if (pid := holder(node)) is None else f"another spheremouse (process {pid})"
+            remedy = "end that one first, or ask it: spheremouse ctl status"
+            raise SourceError(f"{node}: in use by {owner}", remedy) from None
+        except OSError:
+            pass
         yield
-    finally:
-        if held is not None:
-            os.close(held)
-
-
-def _lock(held: int, node: Path) -> None:
-    """Lock the open file `held` of a device `node`. Raises SourceError if another process has it."""
-    try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        pid = holder(node)
-        owner = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
-        raise SourceError(f"{node}: in use by {owner}; end that one first, or ask it: spheremouse ctl status") from None
-    except OSError:
-        return  # this kind of file has no locks
 
 
 def holder(node: Path) -> int | None:

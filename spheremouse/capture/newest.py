@@ -41,10 +41,7 @@ class LatestFrame:
             old.raw.release()
 
     def take(self, timeout: float) -> Arrival | None:
-        """Return the latest arrival, of several cameras the one that was taken first.
-
-        Return None if none comes within `timeout` (s), or after `wake`.
-        """
+        """Return the arrival that was taken first; None if none comes within `timeout` (s), or after `wake`."""
         with self._changed:
             if not self._arrivals and not self._woken:
                 self._changed.wait(timeout)

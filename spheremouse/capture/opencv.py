@@ -56,7 +56,6 @@ def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return findings about the camera's node, on Linux."""
     index, _ = check(argument)
     return probe_node(Path(f"/dev/video{int(index)}"), nodes()) if sys.platform.startswith("linux") else []
 

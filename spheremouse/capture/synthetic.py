@@ -11,10 +11,6 @@ from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepar
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """Open the frames of a simulation, paced by their stamps if `realtime`, and its rig.
-
-    Raises ConfigurationError if the argument is invalid.
-    """
     simulation = check(argument)
     frames = (rendered.frame for rendered in simulate(simulation))
     return Stream(
@@ -23,7 +19,7 @@ def open(argument: str, realtime: bool) -> Stream:
 
 
 def check(argument: str) -> Simulation:
-    """Return the simulation without rendering it. Raises ConfigurationError if the argument is invalid."""
+    """Return the simulation without rendering it. Raise ConfigurationError if the argument is invalid."""
     options = SimulationOptions()
     for item in re.split(r",(?![^\[]*\])", argument):
         if item.strip():

@@ -22,7 +22,6 @@ _MAX_ROUNDING_ERROR = 0.6e-3  # s: half a millisecond and a margin
 
 
 def open(argument: str, realtime: bool) -> Stream:
-    """Open a video file; `realtime` plays it at its own pace. Raises SourceError if OpenCV cannot read it."""
     path = Path(argument)
     if not argument:
         raise SourceError("video: needs a file; write video:PATH")
@@ -94,5 +93,4 @@ def _positive(value: float) -> float | None:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the file exists."""
     return [probe_path(Path(argument))]

@@ -228,7 +228,6 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
 
 
 def check(argument: str) -> None:
-    """Raise SourceError if the argument is invalid."""
     parse(argument, CameraSettings())
 
 
@@ -251,17 +250,13 @@ def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return findings about the camera's node; the camera is not opened."""
     from spheremouse.capture.v4l2.device import find
 
     return probe_node(find(argument.partition(",")[0]), nodes())
 
 
 def newest_frames(camera: V4L2Camera) -> Iterator[Frame]:
-    """Yield the newest frame in colour, and skip the older ones and single damaged ones.
-
-    Raises SourceError if no frame comes in time, or after too many damaged frames in a row.
-    """
+    """Yield the newest frame in colour. Raise SourceError if none comes in time, or too many are damaged in a row."""
     damaged = 0
     while True:
         raw = camera.next(FRAME_TIMEOUT)

@@ -298,27 +298,23 @@ def find(text: str) -> Path:
 
 
 def _failure(path: Path | str, error: OSError) -> SourceError:
-    text = _failure_text(path, error)
-    if error.errno in TRANSFER_ERRORS:
-        return TransferError(text, partial(reset_camera, str(path)))
-    return SourceError(text)
-
-
-def _failure_text(path: Path | str, error: OSError) -> str:
     match error.errno:
         case errno.ENOENT:
-            return f"{path}: no such device; {cameras_here()}"
+            text = f"no such device; {cameras_here()}"
         case errno.EACCES | errno.EPERM:
-            return f"{path}: may not be opened; as root: usermod -aG video USER, then log in again"
+            text = "may not be opened; as root: usermod -aG video USER, then log in again"
         case errno.ENODEV | errno.ENXIO | errno.ESHUTDOWN:
-            return f"{path}: the camera is gone; plug it in again"
+            text = "the camera is gone; plug it in again"
         case errno.EBUSY:
-            return f"{path}: another program uses it; `fuser -v {path}` shows which"
+            text = f"another program uses it; `fuser -v {path}` shows which"
         case e if e in TRANSFER_ERRORS:
-            return f"{path}: the camera stopped ({error.strerror}); see its cable, hub and power"
+            text = f"{path}: the camera stopped ({error.strerror}); see its cable, hub and power"
+            return TransferError(text, partial(reset_camera, str(path)))
         case errno.ENOSPC:
-            return f"{path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
-    return f"{path}: {error.strerror or error}; unplug the camera and plug it in again"
+            text = "not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
+        case _:
+            text = f"{error.strerror or error}; unplug the camera and plug it in again"
+    return SourceError(f"{path}: {text}")
 
 
 def _unsuitable(able: Capability) -> str | None:

@@ -73,10 +73,7 @@ def bgr(payload: Image, layout: Layout) -> Image:
 
 
 def payload_of(payload: Image, layout: Layout) -> Payload:
-    """Return the image of the bytes (n,), a view if its rows have no padding. Raises DamagedFrameError if incomplete.
-
-    The decoder can reject a JPEG.
-    """
+    """Return the image of the bytes (n,), a view if its rows have no padding; DamagedFrameError if incomplete."""
     _check_size(payload, layout)
     if not len(payload):
         raise DamagedFrameError("frame of 0 bytes")

@@ -136,10 +136,7 @@ def _with_lead(state: Stamps, lead: float, now: float) -> Stamps:
 
 
 def _on_monotonic_clock(raw: float, arrival: Arrival, ahead: float) -> tuple[float | None, str | None]:
-    """Return the driver's stamp (s) on the monotonic clock, or None if it is useless; and the kind of problem, if any.
-
-    A stamp may be later than the clock by `ahead`, s.
-    """
+    """Return the driver's stamp (s) on the monotonic clock, at most `ahead` s later, or None; and a kind of problem."""
     if not raw > 0.0 or not math.isfinite(raw):
         return None, "none"
     max_age = _MAX_AGE if arrival.waited else _MAX_QUEUED_AGE
