@@ -210,10 +210,7 @@ def _update(P: Array, by_attitude: Array, by_disc: Array, index: NDArray[np.intp
 
 
 def _augment(P: Array, by_attitude: Array, by_disc: Array, sigma: Array) -> Array:
-    """Return the covariance with k discs added that are seen for the first time, with `sigma` (k,) px per axis.
-
-    Their places follow from the attitude and the measurement. The Jacobians are from `_jacobians`.
-    """
+    """Return the covariance with k discs added that are seen for the first time, with `sigma` (k,) px per axis."""
     k, n = len(by_disc), len(P)
     inverse = np.linalg.inv(by_disc)
     G = np.zeros((2 * k, n))

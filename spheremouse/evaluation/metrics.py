@@ -96,10 +96,7 @@ def _steps(run: Run, truth: Truth) -> tuple[Array, Array, Array]:
 
 
 def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
-    """Return the mouse's speed as sent and the true one, (k, 2) mm/s of ball surface each, by `Run.steps`; `radius` m.
-
-    Wittich 2017, section 4.1.1.
-    """
+    """Return the speed as sent and the true one, (k, 2) mm/s each, by `Run.steps`; `radius` m (Wittich 2017, 4.1.1)."""
     dt, sent, true = _steps(run, truth)
     return surface_travel(sent, radius) / dt[:, None], surface_travel(true, radius) / dt[:, None]
 
@@ -170,10 +167,7 @@ def nees(error: Array, covariance: Array) -> Array:
 
 
 def mean_nees(error: Array, covariance: Array) -> float | None:
-    """Return the mean of `nees` of errors (n, k) with covariances (n, k, k); k if the covariances are right.
-
-    None without errors, or if a value is not finite.
-    """
+    """Return the mean `nees`, k if the covariances are right; None without errors, or if a value is not finite."""
     if len(error) == 0 or not (np.all(np.isfinite(error)) and np.all(np.isfinite(covariance))):
         return None
     return number(np.mean(nees(error, covariance)))
@@ -242,10 +236,7 @@ def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
 
 
 def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
-    """Return median, p99 and maximum of the time per frame in microseconds, all stages together.
-
-    `seconds` has the times, (n,) s, of each stage. All are None without frames.
-    """
+    """Return median, p99 and maximum of the µs per frame, by `seconds`, (n,) s, of each stage; None without frames."""
     total = 1e6 * np.sum(list(seconds.values()), axis=0) if seconds else np.zeros(0)
     if len(total) == 0:
         return {"median": None, "p99": None, "max": None}

@@ -78,10 +78,7 @@ def _save(figure: "Figure", path: Path) -> None:
 
 
 def _draw_curves(axes: "Axes", t: Array, estimate: Array, truth: Array, label: str) -> None:
-    """Draw truth (broad, pale) and estimate (thin), (n, 3), against `t` (n,) s, with one colour for each axis.
-
-    `label` names the quantity and its unit.
-    """
+    """Draw truth (broad, pale) and estimate (thin), (n, 3), against `t` (n,) s; `label` names quantity and unit."""
     for i, colour in enumerate(_COLOURS):
         axes.plot(t, truth[:, i], color=colour, alpha=0.28, linewidth=4.0, solid_capstyle="round")
         axes.plot(t, estimate[:, i], color=colour, linewidth=1.1)
@@ -136,9 +133,6 @@ def _gaps(t: Array) -> Array:
 
 
 def _unbroken(vectors: Array) -> Array:
-    """Return rotation vectors, (n, 3), with nan where they jump by more than pi.
-
-    v and v - 2 pi v/|v| are the same rotation, so a jump is no motion.
-    """
+    """Return rotation vectors, (n, 3), with nan where they jump by more than pi, which is no motion."""
     jump = np.linalg.norm(np.diff(vectors, axis=0, prepend=vectors[:1]), axis=1) > np.pi
     return np.where(jump[:, None], np.nan, vectors)

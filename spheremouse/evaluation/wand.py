@@ -243,10 +243,7 @@ class WandHistory:
         return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
 
     def events(self) -> list[tuple[int, Event]]:
-        """Return (frame index, event) for each event of the tracker in the frame where it begins.
-
-        An event that the frame before has for any ball is left out.
-        """
+        """Return (frame index, event) for each event in the frame where it begins, for any ball."""
         found: list[tuple[int, Event]] = []
         for i, poses in enumerate(self.poses):
             before = {p.event for p in self.poses[i - 1]} if i else set()
