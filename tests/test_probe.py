@@ -77,8 +77,9 @@ def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, m
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become somebody else")
-def test_another_account_is_really_refused(tmp_path):
+def test_another_account_is_really_refused(tmp_path, monkeypatch):
     node = tmp_path / "uinput"
+    monkeypatch.setattr(uinput, "NODE", node)
     node.write_text("")
     node.chmod(0o600)
     for folder in (tmp_path, *tmp_path.parents):
@@ -89,13 +90,14 @@ def test_another_account_is_really_refused(tmp_path):
         os.setgroups([])
         os.setgid(65534)
         os.setuid(65534)
-        (finding,) = uinput.probe("", node)
+        (finding,) = uinput.probe("")
         os._exit(0 if finding.verdict is WRONG and "by its owner alone" in finding.text else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
 
 
-def test_outputs_are_not_opened(tmp_path):
-    (missing,) = uinput.probe("", tmp_path / "uinput")
+def test_outputs_are_not_opened(tmp_path, monkeypatch):
+    monkeypatch.setattr(uinput, "NODE", tmp_path / "uinput")
+    (missing,) = uinput.probe("")
     assert (missing.verdict, missing.passing) == (WRONG, True)
     assert "modprobe uinput" in missing.advice
     (missing,) = serial.probe(str(tmp_path / "ttyACM9"))

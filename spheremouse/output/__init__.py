@@ -185,18 +185,7 @@ def _applies_response(spec: str) -> bool:
 
 def open_output(spec: str) -> Output:
     """Open the output `KIND:ARGUMENT`. Raise OutputError if it does not exist or lacks a member of `Output`."""
-    members = (
-        "send",
-        "begin",
-        "delivery",
-        "drop_waiting",
-        "paced",
-        "blocks",
-        "period",
-        "hang_hint",
-        "__enter__",
-        "__exit__",
-    )
+    members = [name for name in vars(Output) if not name.startswith("_")] + ["__enter__", "__exit__"]
     return registry.open_spec(sys.modules[__name__], "output", spec, OutputError, members)
 
 

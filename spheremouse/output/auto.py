@@ -5,23 +5,25 @@ by its USB identity. A plain adapter is never taken, because any device may be b
 """
 
 import sys
+from functools import partial
 
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, Verdict, absent, ok, unchecked, warning
 from spheremouse.output import Output, desktop, serial, uinput
 from spheremouse.output.serial.ports import connected_ports, find_board
-from spheremouse.output.third_axis import NONE, parse_third
+from spheremouse.output.third_axis import parse_third
+
+check = partial(parse_third, "auto")
 
 
 def open(argument: str) -> Output:
     """Open the first that works of uinput, serial and desktop. Raises OutputError with all reasons if none does."""
-    third = check(argument)
-    option = f"third={third}" if third != NONE else ""
+    check(argument)
     failures: list[str] = []
     for module in (uinput, serial, desktop):
         kind = module.__name__.rpartition(".")[2]
         try:
-            whole = _board(option) if module is serial else option
+            whole = _board(argument) if module is serial else argument
             output = module.open(whole)
         except OutputError as e:
             failures.append(str(e))
@@ -30,11 +32,6 @@ def open(argument: str) -> Output:
         sys.stderr.write(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else "") + "\n")
         return output
     raise OutputError(f"auto: found no mouse. {' | '.join(failures)}")
-
-
-def check(argument: str) -> str:
-    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
-    return parse_third("auto", argument)
 
 
 def _board(option: str) -> str:
@@ -46,10 +43,8 @@ def _board(option: str) -> str:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return the output that `open` would take, and the state of each."""
-    third = check(argument)
-    option = f"third={third}" if third != NONE else ""
-    tried = [*uinput.probe(option), *_probe_board(option), *desktop.probe(option)]
+    check(argument)
+    tried = [*uinput.probe(argument), *_probe_board(argument), *desktop.probe(argument)]
     taken = next((f for f in tried if f.verdict is Verdict.OK), None)
     if taken is None:
         none = absent("output", "auto finds none", "mend one of these; uinput is the usual one")

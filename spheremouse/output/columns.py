@@ -41,7 +41,9 @@ def columns(coordinates: StillAxes) -> tuple[Column, ...]:
         *_vector("increment", "xyz", "rad", coordinates, "rotation vector since the last confirmed estimate"),
         *_covariance("attitude_covariance", "rad2", coordinates, "of the attitude error e, exp(e) R"),
         *_covariance("rate_covariance", "rad2/s2", coordinates, "of the angular velocity"),
-        *(_position(coordinates) if held else ()),
+        *(_vector("position", "xyz", "m", coordinates, "position of the centre") if held else ()),
+        *(_vector("velocity", "xyz", "m/s", coordinates, "velocity of the centre") if held else ()),
+        *(_covariance("position_covariance", "m2", coordinates, "of the position") if held else ()),
         *(Column(f"count_{axis}", int, "counts", meaning=f"counts of the mouse, {axis}") for axis in "xyz"),
         *(() if held else _STATISTICS),
         Column("latency", float, "s", meaning="from the exposure to publication"),
@@ -93,14 +95,6 @@ def _vector(name: str, axes: str, unit: str, frame: str, meaning: str) -> list[C
 
 def _covariance(name: str, unit: str, frame: str, meaning: str) -> list[Column]:
     return [Column(f"{name}_{pair}", float, unit, frame, f"covariance {meaning}, {pair}") for pair in _PAIRS]
-
-
-def _position(frame: str) -> list[Column]:
-    return [
-        *_vector("position", "xyz", "m", frame, "position of the centre"),
-        *_vector("velocity", "xyz", "m/s", frame, "velocity of the centre"),
-        *_covariance("position_covariance", "m2", frame, "of the position"),
-    ]
 
 
 def _upper(covariance: Array) -> tuple[float, ...]:

@@ -163,11 +163,6 @@ class Counter:
         self.matrix, self._remainder, self._catch_up = matrix, NO_REMAINDER, CatchUp()
 
     @property
-    def withheld(self) -> Array:
-        """Confirmed rotation vector (3,) rad that is not counted yet."""
-        return np.array(self._catch_up.pending)
-
-    @property
     def fraction(self) -> Rate:
         return self._remainder
 

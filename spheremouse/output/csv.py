@@ -14,7 +14,7 @@ from spheremouse.errors import OutputError
 from spheremouse.files.safe_files import is_stream, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
-from spheremouse.output.log_file import check_file, drop_unfinished_line, lock, probe_file
+from spheremouse.output.log_file import drop_unfinished_line, lock, probe_file, refuse_other_files
 from spheremouse.output.table import Table, csv_line, open_table, table_file
 
 _START = b"# spheremouse samples"
@@ -82,15 +82,12 @@ def header(columns: Sequence[Column]) -> bytes:
 
 
 def open(argument: str) -> Table:
-    """Open a file to append to. Raise OutputError if it is another file."""
     return open_table(file_of(argument), _START, CsvWriter)
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if the path is empty or `-`, or if the file does not begin as such a table."""
-    check_file(file_of(argument), _START)
+    refuse_other_files(file_of(argument), _START)
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether this account may write the file."""
     return probe_file(file_of(argument), "table")

@@ -7,12 +7,15 @@ Programs that read the mouse and not the pointer receive nothing. Wayland lets n
 
 import os
 import sys
+from functools import partial
 from typing import Any
 
 from spheremouse.errors import OutputError, reason_of
 from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Output, Report
 from spheremouse.output.third_axis import parse_third, whole_notches
+
+check = partial(parse_third, "desktop")
 
 _PLACE = "desktop: "  # begins each message
 _MAX_STEP_PX = 10_000  # X11 takes positions of 16 bits, and no screen is wider
@@ -48,18 +51,11 @@ class Desktop(Output):
 
 
 def open(argument: str) -> Desktop:
-    """Connect to the desktop."""
     third = check(argument)
     return Desktop(_connect(), third)
 
 
-def check(argument: str) -> str:
-    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
-    return parse_third("desktop", argument)
-
-
 def probe(argument: str) -> list[Finding]:
-    """Return whether the desktop's pointer can be moved; it stays where it is."""
     try:
         with open(argument):
             return [ok("desktop", "its pointer can be moved; games that read the mouse itself see nothing of it")]

@@ -7,10 +7,7 @@ from spheremouse.errors import OutputError
 
 
 def import_extra(kind: str, package: str, extra: str, module: str = "") -> Any:
-    """Return a module of an optional package, by default the one of its name.
-
-    Raise OutputError of the output `kind`, with the extra that installs the package, if it is missing.
-    """
+    """Return a module of an optional package. Raise OutputError with the extra that installs it if it is missing."""
     try:
         return importlib.import_module(module or package)
     except ImportError:

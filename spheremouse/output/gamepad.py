@@ -77,7 +77,6 @@ class Gamepad(Output):
 
 
 def open(argument: str) -> Gamepad:
-    """Create the gamepad."""
     response = check(argument)
     # Value, min, max, fuzz, flat, resolution. SDL scales any other range to this one, and moves the centre.
     stick = (0, -FULL_DEFLECTION - 1, FULL_DEFLECTION, 0, 0, 0)
@@ -87,10 +86,8 @@ def open(argument: str) -> Gamepad:
 
 
 def check(argument: str) -> Response:
-    """Return the response. Raise OutputError if the argument is invalid."""
     return parse_response(argument, f"gamepad:{argument}", RESPONSE)
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether this account may create a gamepad."""
-    return uinput.probe_device("gamepad")
+    return uinput.probe(argument, "gamepad")

@@ -58,10 +58,7 @@ def parse_address(kind: str, argument: str) -> tuple[str, LineFormat]:
 
 
 def parse_target(kind: str, argument: str, known: Mapping[str, OptionType]) -> tuple[str, LineFormat, Options]:
-    """Return address, format and all options. `known` has the types of the options that the kind adds to the format's.
-
-    Raise OutputError if one is invalid.
-    """
+    """Return address, format and all options, whose types are in `known` or the format's; OutputError if invalid."""
     address, _, rest = argument.partition(",")
     place = f"{kind}:{argument}"
     given = options(rest, _OPTIONS | dict(known) | KEYS, place, OutputError)

@@ -22,29 +22,19 @@ MAX_WAIT_S = 1.0  # s between two writes in a run of a recording, where no threa
 _MAX_LINE_BYTES = 65_536  # a JSON object has 2,000
 
 
-def check_file(path: Path, start: bytes) -> None:
-    """Raise OutputError if the file exists and does not begin with `start`. Opening it reports other problems."""
-    with contextlib.suppress(OSError, ValueError):
-        refuse_other_files(path, start)
-
-
 def write_error(place: object, error: Exception) -> OutputError:
     """Return the error of a file or stream, named `place`, that the system refuses to open or write."""
     return OutputError(f"{place}: cannot be written: {getattr(error, 'strerror', None) or error}")
 
 
 def refuse_other_files(path: Path, start: bytes) -> None:
-    """Raise OutputError if a regular file exists and does not begin with `start`; OSError if it cannot be read."""
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return
-    if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
-        return
-    with path.open("rb") as file:
-        if file.read(len(start)) == start:
-            return
-    raise OutputError(f"{path}: exists and is no log in this format", "choose another name or remove it")
+    """Raise OutputError if a regular file exists and does not begin with `start`. Opening it reports other problems."""
+    with contextlib.suppress(OSError, ValueError):
+        if path.is_file():
+            with path.open("rb") as file:
+                if file.read(len(start)) in (start, b""):
+                    return
+            raise OutputError(f"{path}: exists and is no log in this format", "choose another name or remove it")
 
 
 def lock(path: Path, descriptor: int) -> None:

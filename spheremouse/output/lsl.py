@@ -57,20 +57,17 @@ class Lsl(Output):
 
 
 def open(argument: str) -> Lsl:
-    """Return an output for the stream with this name, `spheremouse` without one."""
     check(argument)
     return Lsl(argument or "spheremouse")
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if the name is invalid, or if pylsl or its library is missing."""
     if has_control_characters(argument):
         raise OutputError(f"lsl:{argument!r}: a name has no control characters", "write lsl:NAME")
     _pylsl()
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return the name of the stream."""
     return [ok("output", f"LSL stream {argument or 'spheremouse'}")]
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from spheremouse.errors import OutputError
-from spheremouse.finding import Finding, ok, refused
+from spheremouse.finding import Finding, ok
 from spheremouse.output import Output, Report
 
 LOOPBACK = "127.0.0.1"
@@ -37,11 +37,8 @@ def resolve(name: str, host: str, port: int, kind: socket.SocketKind) -> tuple[s
 
 
 def probe_port(kind: str, host: str, port: int) -> list[Finding]:
-    """Return whether a port is free. It is bound for a moment."""
-    try:
-        bind(f"{kind}:{host}:{port}", host, port).close()
-    except OutputError as e:
-        return [refused(kind, e)]
+    """Bind a port for a moment, and return that it is free. Raise OutputError if it is not."""
+    bind(f"{kind}:{host}:{port}", host, port).close()
     return [ok(kind, f"port {port} of {host} is free")]
 
 
@@ -108,9 +105,6 @@ class DatagramOutput(Output):
 
 
 def probe_receiver(kind: str, name: str, host: str, port: int) -> list[Finding]:
-    """Return whether the host is known. Nothing is sent."""
-    try:
-        _, address = resolve(name, host, port, socket.SOCK_DGRAM)
-    except OutputError as e:
-        return [refused(kind, e)]
+    """Return the address of the host. Nothing is sent. Raise OutputError if it is unknown."""
+    _, address = resolve(name, host, port, socket.SOCK_DGRAM)
     return [ok(kind, f"sends to {address[0]} port {port}")]

@@ -15,17 +15,14 @@ class Null(Output):
 
 
 def open(argument: str) -> Null:
-    """Return an output that discards all reports."""
     check(argument)
     return Null()
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if there is an argument."""
     if argument:
         raise OutputError(f"null:{argument}: takes no argument", "write null")
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return a warning that motion is discarded."""
     return [warning("output", "null: motion goes nowhere", "name one: uinput, serial:auto, desktop")]

@@ -30,11 +30,7 @@ def bundles(report: Report) -> list[bytes]:
 
 
 def encode(sample: Sample, counts: Counts) -> bytes:
-    """Return the bundle of a sample: status and counts, and the other vectors if the ball is tracked.
-
-    A bundle with a vector that is not finite has none of these. One call packs all; the builders of python-osc take ten
-    times as long.
-    """
+    """Return the bundle of a sample: status, counts, and the other vectors if tracked and all of them finite."""
     estimate = sample.estimate
     tag = _IMMEDIATELY if sample.wall is None else round((sample.wall + _NTP_EPOCH) * 2**32) % 2**64
     vectors: list[Sequence[float]] = [counts if max(map(abs, counts)) <= _MAX_COUNT else _clip(counts)]
@@ -58,10 +54,7 @@ def _clip(counts: Counts) -> list[int]:
 
 @cache
 def _layout(ball: int, status: str, vectors: int) -> tuple[struct.Struct, list[bytes]]:
-    """Return the form of a bundle, and the constant bytes before each of its vectors: size, address and types.
-
-    Those before the first have the message of the status, too.
-    """
+    """Return the form of a bundle, and the constant bytes before each vector, of which the first have the status."""
 
     def text(*strings: str) -> bytes:  # each ends with a zero, and zeros up to a multiple of 4 bytes
         return b"".join(s.encode() + bytes(4 - len(s) % 4) for s in strings)
@@ -76,17 +69,14 @@ def _layout(ball: int, status: str, vectors: int) -> tuple[struct.Struct, list[b
 
 
 def open(argument: str) -> DatagramOutput:
-    """Open a socket to the receiver."""
     return DatagramOutput(f"osc:{argument}", *check(argument), bundles)
 
 
 def check(argument: str) -> tuple[str, int]:
-    """Return host and port. Raise OutputError if the argument is invalid."""
     address, _, rest = argument.partition(",")
     options(rest, dict(KEYS), f"osc:{argument}", OutputError)
     return parse_host("osc", address)
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the host is known. Nothing is sent."""
     return probe_receiver("osc", f"osc:{argument}", *check(argument))

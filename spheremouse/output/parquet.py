@@ -15,7 +15,7 @@ from spheremouse.files.safe_files import is_stream, new_file, open_to_append
 from spheremouse.finding import Finding
 from spheremouse.output.columns import Column
 from spheremouse.output.extras import import_extra
-from spheremouse.output.log_file import check_file, lock, probe_file, refuse_other_files
+from spheremouse.output.log_file import lock, probe_file, refuse_other_files
 from spheremouse.output.table import Table, open_table, table_file
 
 _START = b"PAR1"
@@ -97,7 +97,6 @@ def _whole_batches(stream: Any) -> Iterator[Any]:
 
 
 def open(argument: str) -> Table:
-    """Open a table to add rows. Raise OutputError as `check`, or if the file cannot be written."""
     check(argument)
     return open_table(file_of(argument), _START, PartWriter)
 
@@ -108,9 +107,8 @@ def check(argument: str) -> None:
     arrow("pyarrow")
     if is_stream(path):
         raise OutputError(f"{path}: is no regular file", "name one, or use csv")
-    check_file(path, _START)
+    refuse_other_files(path, _START)
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether this account may write the file."""
     return probe_file(file_of(argument), "table")

@@ -10,7 +10,6 @@ _MAX_KINDS = 256  # the kind that was logged longest ago is forgotten
 
 
 def strip_digits(text: str) -> str:
-    """Return a text without its digits."""
     return "".join(c for c in text if not c.isdigit())
 
 
@@ -22,10 +21,7 @@ class _Kind:
 
 
 class RateLimitedLogger:
-    """Logs one line of each kind a second. The next line, or the last one, has the number of suppressed lines.
-
-    Lines that differ only in digits are one kind.
-    """
+    """Logs one line of each kind a second, and counts suppressed ones. Lines of a kind differ in digits alone."""
 
     def __init__(self, log: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._log, self._clock = log, clock

@@ -93,7 +93,8 @@ class OutputThread:
         self._wakeup.acquire()
         self._queue: deque[_QueuedReport] = deque()
         self._overflow, self._overflowed = _NONE, 0  # counts and frames that the queue did not hold
-        self._closing = self._paused = self._ended = False
+        self._closing = self._paused = False
+        self.ended = False  # True: the reader of the output closed it; it is not opened again
         self._turn = threading.Lock()  # of the thread, or the caller of `submit`, that works on the output
         self._output: Output | None = None
         self._failed: str | None = None
@@ -155,7 +156,7 @@ class OutputThread:
         """Return the condition of the output, the sums of counts and the latency."""
         failed, arrived, unsent, ahead = self._sums()
         dropped, latency = self._dropped + self._overflowed, _latency_of(tuple(self._latencies))
-        return ReporterStatus(failed, self._ended, self._reports, dropped, arrived, unsent, ahead, latency)
+        return ReporterStatus(failed, self.ended, self._reports, dropped, arrived, unsent, ahead, latency)
 
     @property
     def queued(self) -> Counts:
@@ -188,11 +189,6 @@ class OutputThread:
     def failed(self) -> str | None:
         """Reason of a failure; None: the output works. Read it often: it logs a call that hangs for 0.4 s."""
         return self._calls.look() or self._failed
-
-    @property
-    def ended(self) -> bool:
-        """True if the reader of the output closed it; it is not opened again."""
-        return self._ended
 
     def close(self) -> None:
         """Close the output and wait for the thread, at most 5 s. A thread that hangs is left running."""
@@ -230,7 +226,7 @@ class OutputThread:
 
     def _work(self) -> float:
         """Do all work that is due, and return the time (s) until the next, if no report is submitted before."""
-        if self._output is None and not self._ended and monotonic() >= self._retry_time:
+        if self._output is None and not self.ended and monotonic() >= self._retry_time:
             self._open_again()
         if self._acknowledges:
             self._check_delivery()
@@ -239,7 +235,7 @@ class OutputThread:
         while self._queue:
             self._take(*self._queue.popleft())
         if self._output is None:
-            return inf if self._ended else self._retry_time - monotonic()
+            return inf if self.ended else self._retry_time - monotonic()
         if self._next_time == inf:
             return inf
         if monotonic() >= self._next_time:
@@ -297,7 +293,7 @@ class OutputThread:
         try:
             self._output.send(report)
         except OutputClosed as e:
-            self._ended = True
+            self.ended = True
             self._fail("the reader of the output is gone", e)
             return False
         except Exception as e:
@@ -358,7 +354,7 @@ class OutputThread:
         """Close the output, log the reason and set the time of the next attempt."""
         self._close(error)
         if reason not in (self._failed, self._unproven):
-            self._log(log_line(self._name, reason) + ("" if self._ended else "; trying again until it works"))
+            self._log(log_line(self._name, reason) + ("" if self.ended else "; trying again until it works"))
         self._failed, self._unproven = reason, None
         self._retry_time = monotonic() + RETRY_DELAYS[min(self._failures, len(RETRY_DELAYS) - 1)]
         self._failures += 1

@@ -59,11 +59,7 @@ STICK_RESPONSE = Response(dead=0.02)  # of outputs that send rates: a ball at re
 
 
 def split_response(spec: str) -> tuple[str, Response]:
-    """Split the options of the response (gain, axes, full, dead, curve) from `KIND:ARGUMENT`.
-
-    Return the output without them, and the response, `COUNTS_RESPONSE` if there are none. Raise OutputError for an
-    invalid value.
-    """
+    """Return `KIND:ARGUMENT` without options of the response, and the response; OutputError for an invalid value."""
     kind, _, argument = spec.partition(":")
     parts = argument.split(",")
     given = [part for part in parts if part.partition("=")[0].strip() in KEYS]

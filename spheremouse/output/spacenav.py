@@ -70,24 +70,6 @@ class _Client(Client):
         return struct.pack("=8i", 0, 0, 0, 0, *units, period)
 
 
-class _Server(Server[_Client]):
-    """Sends events to libspnav's clients over a UNIX socket."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._last = path, time.monotonic()
-        super().__init__("spacenav", _listen(path), _Client)
-
-    def send(self, rotation: Sequence[float]) -> None:
-        """Send rx, ry and rz, (3,) units, to each client. One that does not read its events is disconnected."""
-        now = time.monotonic()
-        period, self._last = min(round(1000.0 * (now - self._last)), 2**31 - 1), now
-        self.broadcast(lambda client: client.event(rotation, period))
-
-    def close(self) -> None:
-        super().close()
-        self._path.unlink(missing_ok=True)
-
-
 def _listen(path: Path) -> socket.socket:
     """Return a socket that every account may connect to. A socket without a server is replaced."""
     listener = socket.socket(socket.AF_UNIX)
@@ -109,14 +91,15 @@ def _listen(path: Path) -> socket.socket:
     return listener
 
 
-class SpaceNav(Output):
-    """Turns the objects of libspnav's clients."""
+class SpaceNav(Server[_Client], Output):
+    """Turns the objects of libspnav's clients, over a UNIX socket."""
 
     blocks = False
 
     def __init__(self, path: Path, response: Response) -> None:
-        self._response, self._server = response, _Server(path)
-        self._lock, self._moving = threading.Lock(), False
+        self._path, self._response = path, response
+        self._turning, self._moving, self._last = threading.Lock(), False, time.monotonic()
+        super().__init__("spacenav", _listen(path), _Client)
         self._watchdog = Watchdog(lambda: self._turn(_NO_DEFLECTION))
 
     def send(self, report: Report) -> None:
@@ -125,24 +108,26 @@ class SpaceNav(Output):
         if rotation is not None:
             self._watchdog.feed()
             self._turn(rotation)
-            self.blocks = self._server.has_many_clients
+            self.blocks = self.has_many_clients
 
     def close(self) -> None:
         """End the motion and the connections, and remove the socket."""
         self._watchdog.close()
         self._turn(_NO_DEFLECTION)
-        self._server.close()
+        super().close()
+        self._path.unlink(missing_ok=True)
 
     def _turn(self, rotation: list[float]) -> None:
-        """Send a rotation; that of rest only once."""
-        with self._lock:
+        """Send rx, ry and rz, (3,) units, to each client; those of rest only once."""
+        with self._turning:
             if any(rotation) or self._moving:
-                self._server.send(rotation)
+                now = time.monotonic()
+                period, self._last = min(round(1000.0 * (now - self._last)), 2**31 - 1), now
+                self.broadcast(lambda client: client.event(rotation, period))
             self._moving = any(rotation)
 
 
 def open(argument: str) -> SpaceNav:
-    """Create the socket."""
     return SpaceNav(*check(argument))
 
 
@@ -157,7 +142,6 @@ def check(argument: str) -> tuple[Path, Response]:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether this account may create the socket."""
     path, _ = check(argument)
     if os.access(path.parent, os.W_OK):
         return [ok("spacenav", f"serves {path}")]

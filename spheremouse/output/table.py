@@ -144,10 +144,7 @@ class Table(BatchOutput):
             raise write_error(self._path, e) from None
 
     def close(self) -> None:
-        """Write the last rows, close the table, and complete the JSON file beside it.
-
-        Raises OutputError; then the JSON file keeps the end null.
-        """
+        """Write the last rows, close the table, and complete its description; its end stays null if that fails."""
         with os_errors_as(OutputError, f"{self._path}: cannot be written"), contextlib.closing(self._writer):
             self.write_kept()
         if self._run_record is not None:

@@ -11,18 +11,15 @@ from spheremouse.output.network import parse_host, probe_port
 
 
 def open(argument: str) -> LineServer:
-    """Bind the port."""
     host, port, form = check(argument)
     return LineServer(f"tcp:{argument}", host, port, form)
 
 
 def check(argument: str) -> tuple[str, int, LineFormat]:
-    """Return host, port and format. Raise OutputError if the argument is invalid."""
     address, form = parse_address("tcp", argument)
     return *parse_host("tcp", address), form
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the port is free."""
     host, port, _ = check(argument)
     return probe_port("tcp", host, port)

@@ -64,7 +64,6 @@ class Text(log_file.BatchOutput):
 
 
 def open(argument: str) -> Text:
-    """Open standard output (`-` or nothing) or a file to append to."""
     name, form = parse_address("text", argument)
     if name in ("", "-"):
         return Text(sys.stdout.buffer, "standard output", form, at_once=True)
@@ -79,10 +78,9 @@ def open(argument: str) -> Text:
 
 
 def check(argument: str) -> None:
-    """Raise OutputError if the argument is invalid, or if the file exists and is not such a log."""
     name, form = parse_address("text", argument)
     if name not in ("", "-"):
-        log_file.check_file(Path(name), form.start)
+        log_file.refuse_other_files(Path(name), form.start)
 
 
 def file_of(argument: str) -> Path | None:
@@ -92,7 +90,6 @@ def file_of(argument: str) -> Path | None:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether this account may write the file."""
     path = file_of(argument)
     if path is None:
         return [ok("output", "text to standard output")]

@@ -16,12 +16,10 @@ def open(argument: str) -> DatagramOutput:
 
 
 def check(argument: str) -> tuple[str, int, LineFormat]:
-    """Return host, port and format. Raise OutputError if the argument is invalid."""
     address, form = parse_address("udp", argument)
     return *parse_host("udp", address), form
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the host is known. Nothing is sent."""
     host, port, _ = check(argument)
     return probe_receiver("udp", f"udp:{argument}", host, port)

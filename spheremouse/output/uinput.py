@@ -11,6 +11,7 @@ import importlib.util
 import os
 import struct
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from spheremouse.files.access import access_problem
 from spheremouse.finding import Finding, absent, ok, wrong
 from spheremouse.output import Output, Report
 from spheremouse.output.third_axis import parse_third, whole_notches
+
+check = partial(parse_third, "uinput")
 
 NAME = "spheremouse"
 NODE = Path("/dev/uinput")
@@ -68,48 +71,33 @@ class UInput(Output):
 
 
 def open(argument: str) -> UInput:
-    """Create the mouse."""
     third = check(argument)
     buttons, axes = [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], [REL_X, REL_Y, *_AXES[third]]
     return UInput(create("uinput", NAME, PRODUCT, {EV_KEY: buttons, EV_REL: axes}), third)
 
 
-def check(argument: str) -> str:
-    """Return the value of `third=`. Raise OutputError if the argument is invalid."""
-    return parse_third("uinput", argument)
-
-
-def probe(argument: str, node: Path | None = None) -> list[Finding]:
-    """Return whether this account may create a mouse."""
-    return probe_device("uinput", node)
-
-
-def probe_device(kind: str, node: Path | None = None) -> list[Finding]:
+def probe(argument: str, kind: str = "uinput") -> list[Finding]:
     """Return whether this account may create a device for an output of a `kind`."""
-    node = NODE if node is None else node
-    if obstacle := _obstacle(node):
+    if obstacle := _obstacle():
         return [absent(kind, *obstacle)] if _has_evdev() else [wrong(kind, *obstacle)]
-    return [ok(kind, f"{node} may be written")]
+    return [ok(kind, f"{NODE} may be written")]
 
 
 def _has_evdev() -> bool:
     return importlib.util.find_spec("evdev") is not None
 
 
-def _obstacle(node: Path) -> tuple[str, str] | None:
+def _obstacle() -> tuple[str, str] | None:
     """Return the reason why this account cannot create a device, and the remedy; None if it can."""
     if not _has_evdev():
         return "needs Linux and the Python package evdev", "use another output: desktop, serial:auto"
-    if not node.exists():
-        return f"{node} does not exist", "as root: modprobe uinput"
-    return access_problem(node)
+    if not NODE.exists():
+        return f"{NODE} does not exist", "as root: modprobe uinput"
+    return access_problem(NODE)
 
 
 def write_events(kind: str, device: Any, event_type: int, events: Sequence[tuple[int, int]]) -> None:
-    """Write events of one type, (code, value of 32 bits), as one report; without events, write none.
-
-    Raises OutputError, which begins with the output's `kind`, if the kernel refuses them.
-    """
+    """Write events of one type, (code, value), as one report, if there are any; OutputError if the kernel refuses."""
     if not events:
         return
     report = [_EVENT.pack(0, 0, event_type, code, value) for code, value in events]
@@ -127,7 +115,7 @@ def create(kind: str, name: str, product: int, capabilities: dict[int, Sequence[
     `name` and `product`, a USB product number, identify it to programs. `capabilities` are those of evdev: codes by
     type of event. Raises OutputError, which begins with `kind`, without evdev, without access, or if it is refused.
     """
-    if obstacle := _obstacle(NODE):
+    if obstacle := _obstacle():
         problem, hint = obstacle
         raise OutputError(f"{kind}: {problem}", hint)
     import evdev

@@ -65,7 +65,6 @@ class WebSocket(LineServer):
 
 
 def open(argument: str) -> WebSocket:
-    """Bind the port."""
     return WebSocket(f"ws:{argument}", *check(argument))
 
 
@@ -76,6 +75,5 @@ def check(argument: str) -> tuple[str, int, LineFormat, str]:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the port is free."""
     host, port, *_ = check(argument)
     return probe_port("ws", host, port)

@@ -13,6 +13,7 @@ from reporting import PATIENCE, free_port, refused, report, until
 from websockets import exceptions, frames
 from websockets.sync.client import connect
 
+from spheremouse.errors import OutputError
 from spheremouse.output import open_output, probe
 from spheremouse.output.line_server import LineServer
 
@@ -129,7 +130,8 @@ def test_a_port_in_use_is_refused(port):
     with open_output(f"tcp:{port}"):
         hint = "stop the other program, or take another port"
         assert refused(f"tcp:{port}") == f"tcp:{port}: Address already in use; {hint}"
-        assert "Address already in use" in probe(f"tcp:{port}")[0].text
+        with pytest.raises(OutputError, match="Address already in use"):
+            probe(f"tcp:{port}")
     assert probe(f"tcp:{port}")[0].text == f"port {port} of 127.0.0.1 is free"
     assert refused("tcp:9,origin=x").startswith("tcp:9,origin=x: unknown key origin")
     assert refused("tcp:192.0.2.1:9").endswith("; write an address of this computer, or 0.0.0.0 for all")
@@ -188,7 +190,8 @@ def test_ipv6():
 
 def test_where_it_sends_is_known_beforehand():
     assert probe("udp:localhost:9")[0].text == "sends to 127.0.0.1 port 9"
-    assert "unknown host" in probe("udp:nowhere.invalid:9")[0].text
+    with pytest.raises(OutputError, match="unknown host"):
+        probe("udp:nowhere.invalid:9")
 
 
 def first_message(output, client):

@@ -63,10 +63,7 @@ class Serial(Output):
         self._thread.start()
 
     def send(self, report: Report) -> None:
-        """Add the counts, and write a frame if the line takes one now. Never waits.
-
-        Raises OutputError after a failure of the output's thread.
-        """
+        """Add the counts, and write a frame if the line takes one now. Never waits. Raises a failure of the thread."""
         x, y, z = report.counts
         counts = [x, y, 0, 0]
         if self._third != NONE:
@@ -262,7 +259,6 @@ def validate_baud(baud: int, name: str) -> int:
 
 
 def open(argument: str) -> Serial:
-    """Connect to a board."""
     name, identifier, baud, third = check(argument)
 
     def find_port() -> str:
@@ -272,10 +268,7 @@ def open(argument: str) -> Serial:
 
 
 def check(argument: str) -> tuple[str, str | None, int, str]:
-    """Return port or `auto`, the board's USB serial number (None: any board), baud and `third=`.
-
-    Raises OutputError if one is invalid.
-    """
+    """Return port or `auto`, the board's USB serial number (None: any), baud and `third=`; OutputError if invalid."""
     name, _, rest = argument.partition(",")
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str, **KEYS}, whole, OutputError)
@@ -290,7 +283,6 @@ def check(argument: str) -> tuple[str, str | None, int, str]:
 
 
 def probe(argument: str) -> list[Finding]:
-    """Return whether the board's port exists and this account may use it; the port is not opened."""
     name, identifier, _, _ = check(argument)
     try:
         port = Path(find_board(identifier) if name == "auto" else name)
