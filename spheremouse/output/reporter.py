@@ -16,6 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from math import floor, inf
 from time import monotonic
 
@@ -161,10 +162,7 @@ class OutputThread:
     @property
     def queued(self) -> Counts:
         """Counts that were submitted and that the thread has not processed."""
-        total = _NONE
-        for queued in tuple(self._queue):
-            total = plus(total, queued[0].counts)
-        return total
+        return reduce(plus, (queued[0].counts for queued in tuple(self._queue)), _NONE)
 
     @property
     def unsent(self) -> Counts:

@@ -12,14 +12,14 @@ import secrets
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from spheremouse.errors import OutputError
 from spheremouse.files.access import access_problem
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding, absent, ok
-from spheremouse.output import DeliveryStatus, Output, Report
+from spheremouse.output import Counts, DeliveryStatus, Output, Report
 from spheremouse.output.rate_limited_logger import RateLimitedLogger
 from spheremouse.output.response import KEYS
 from spheremouse.output.serial.link import Link
@@ -36,7 +36,7 @@ _RETRY_DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)  # s
 _SILENCE_TIMEOUT = 3.0  # s without an answer until the port is reopened; a computer can block a board for 2
 _MAX_QUEUED_BYTES = 38  # two frames in the system's queue
 _STATUS_INTERVAL = 0.05  # s between two STATUS?
-_AXIS_INDEX = {"wheel": 2, "pan": 3}
+_AXIS_INDEX = {"wheel": 2, "pan": 3}  # of the third axis in a frame
 
 
 class Serial(Output):
@@ -65,9 +65,7 @@ class Serial(Output):
     def send(self, report: Report) -> None:
         """Add the counts, and write a frame if the line takes one now. Never waits. Raises a failure of the thread."""
         x, y, z = report.counts
-        counts = [x, y, 0, 0]
-        if self._third != NONE:
-            counts[_AXIS_INDEX[self._third]] = z
+        counts = [x, y, *(z if third == self._third else 0 for third in _AXIS_INDEX)]
         with self._lock:
             self.link.add(counts, time.perf_counter())
             self._flush()
@@ -83,12 +81,15 @@ class Serial(Output):
 
     def delivery(self) -> DeliveryStatus:
         """Return the counts that the board has not confirmed, and the reason."""
-        axes = (0, 1, *(() if self._third == NONE else (_AXIS_INDEX[self._third],)))
         with self._lock:
             link, waiting = self.link, self.link.waiting
             lost = [d + w for d, w in zip(link.dropped, link.written_off, strict=True)]
             trouble = f"serial: {self._trouble()}" if link.has_failed(time.perf_counter()) else ""
-            return DeliveryStatus(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
+            return DeliveryStatus(trouble, self._of_report(waiting), self._of_report(lost))
+
+    def _of_report(self, counts: Sequence[int]) -> Counts:
+        """Return x, y and third axis of the counts of a frame; 0 for a third axis that is not sent."""
+        return counts[0], counts[1], counts[_AXIS_INDEX[self._third]] if self._third != NONE else 0
 
     def drop_waiting(self) -> None:
         with self._lock:
@@ -296,9 +297,3 @@ def probe(argument: str) -> list[Finding]:
         if problem := access_problem(port):
             return [absent("serial board", *problem)]
     return [ok("serial board", f"at {port}; check it with `spheremouse firmware check`")]
-
-
-def _three(counts: Iterable[int]) -> tuple[int, int, int]:
-    """Return x, y and third axis; 0 for a third axis that is not sent."""
-    x, y, z, *_ = *counts, 0
-    return x, y, z
