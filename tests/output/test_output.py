@@ -90,10 +90,6 @@ def test_files_that_cannot_be_written(tmp_path):
     assert "Is a directory" in refused(f"text:{tmp_path}")
     assert "No such file or directory" in refused(f"text:{tmp_path / 'no' / 'log.txt'}")
     assert "cannot be written" in refused("text:a\0b")
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_a_full_disk_is_an_error_and_leaving_stays_possible():
     assert refused("text:/dev/full,format=counts") == "/dev/full: cannot be written: No space left on device"
 
 
@@ -124,7 +120,6 @@ def test_a_reader_that_goes_away_is_a_quiet_end():
     assert process.returncode == 0
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_standard_output_on_a_full_disk_is_one_line():
     with open("/dev/full", "w") as full:
         run = subprocess.run(
@@ -192,12 +187,6 @@ def test_a_device_where_it_cannot_be_made(kind):
 # ---- all ----
 
 
-def test_null_takes_everything():
-    with open_output("null") as output:
-        output.send(turned(1))
-    assert "takes no argument" in refused("null:x")
-
-
 def test_the_plug_in_of_the_docs_prints_what_it_gets(monkeypatch, capsys):
     page = (REPOSITORY / "docs" / "plugins.md").read_text()
     module = ModuleType("lamp")
@@ -223,12 +212,8 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, kind, package):
     assert refused(f"{kind}:a") == f"{kind}: needs the package {package}; pip install 'spheremouse[{kind}]'"
 
 
-def test_unknown_kinds_are_told_the_known_ones():
-    assert refused("txt:-") == "unknown output 'txt:-'; did you mean text?"
-    assert "known here: auto, csv, " in refused("xyzzy:-")
-
-
 def test_leaving_does_not_hide_errors(tmp_path):
     for spec in (f"text:{tmp_path / 'log.txt'}", "null"):
-        with pytest.raises(ZeroDivisionError), open_output(spec):
-            1 / 0  # noqa: B018
+        with pytest.raises(ZeroDivisionError), open_output(spec) as output:
+            output.send(turned(1 // 0))
+    assert "takes no argument" in refused("null:x")

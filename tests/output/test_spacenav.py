@@ -194,13 +194,9 @@ def test_a_client_beyond_the_limit_is_disconnected(path, monkeypatch):
         assert second.recv(4) == b""
 
 
-def test_every_account_may_connect(path):
+def test_every_account_may_connect_a_second_driver_is_refused_and_a_socket_that_is_left_over_replaced(path):
     with open_output(f"spacenav:{path}"):
         assert stat.S_IMODE(path.stat().st_mode) == 0o666
-
-
-def test_a_socket_in_use_is_refused_and_one_that_is_left_over_is_replaced(path):
-    with open_output(f"spacenav:{path}"):
         hint = "stop spacenavd, or name another socket"
         assert refused(f"spacenav:{path}") == f"spacenav: {path}: another driver serves it; {hint}"
     with socket.socket(socket.AF_UNIX) as left_over:

@@ -1,7 +1,6 @@
 """Tables of samples: CSV, Parquet, and the description of their run."""
 
 import json
-import os
 from datetime import datetime
 
 import numpy as np
@@ -112,7 +111,6 @@ def test_a_head_that_was_cut_between_two_lines_is_written_again(tmp_path):
 
 # pandas 3 reads every digit without being asked to
 EXACT = {} if int(pd.__version__.partition(".")[0]) >= 3 else {"float_precision": "round_trip"}
-FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 
 
 def names(start, suffixes):
@@ -164,7 +162,6 @@ def test_each_column_has_its_unit_and_frame_in_the_head(tmp_path):
     assert [line[2:].split(" [")[0].split(":")[0] for line in head[1:-2]] == [c.name for c in columns("obj")]
 
 
-@FULL
 def test_a_stream_takes_a_table_without_a_description_of_the_run():
     with pytest.raises(OutputError, match=r"^/dev/full: cannot be written: No space left on device$"):
         write("csv:/dev/full", frame(1))
