@@ -43,10 +43,7 @@ _QueuedReport = tuple[Report, float, bool, float]
 
 
 def log_line(name: str, reason: object) -> str:
-    """Return the log line of an output with a `name` as "output udp:HOST:PORT".
-
-    It names the output once: an error of its address begins with the address, too.
-    """
+    """Return the log line of an output with a name as "output udp:HOST:PORT", which the reason may begin with, too."""
     return f"{name}: {str(reason).removeprefix(name.removeprefix('output ') + ': ')}"
 
 
