@@ -8,7 +8,6 @@ views contradict each other beyond the variances of their corners, the covarianc
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -39,7 +38,7 @@ from spheremouse.geometry.least_squares.adjust import (
     redundancy,
     variance_factors,
 )
-from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
+from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.geometry.statistics import FALSE_ALARM
 
 MIN_VIEWS = 3
@@ -48,6 +47,7 @@ _MAX_RESIDUAL_RATIO = 4.0  # of a view over the usual residual; sharpness and li
 _MAX_START_RATIO = 20.0  # the same after the coarse start
 _MAX_START_RESIDUAL = 1.0  # px
 _MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares by half a per cent
+_FOCALS = np.geomspace(0.4, 20.0, 14)  # focal lengths over the longer side of the picture, to start from
 _SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
 _SIGNIFICANCE = 0.01  # chance of a contradiction between views that agree
 _MONTE_CARLO_DRAWS = 1000
@@ -72,7 +72,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
     try:
         x = _first_adjustment(bundle, x)
     except CalibrationError:
-        if _parallel(views, size, free, x):
+        if _parallel(x):
             raise CalibrationError(UNDETERMINED) from None
         raise
     spread = bundle.spread(x)
@@ -105,7 +105,7 @@ def start(views: Sequence[View], size: tuple[int, int]) -> Array:
     width, height = size
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     best, least = None, np.inf
-    for focal in _focals(views, size):
+    for focal in max(size) * _FOCALS:
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
         poses = poses_of(views, camera)
         x = np.concatenate([interior_vector(camera), np.zeros(SHAPE), poses.ravel()])
@@ -117,13 +117,9 @@ def start(views: Sequence[View], size: tuple[int, int]) -> Array:
     return best
 
 
-def _parallel(views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_], x: Array) -> bool:
+def _parallel(x: Array) -> bool:
     """Return True if all boards face the same way, which leaves the focal length open."""
-    try:
-        y = Bundle(views, size, free & (np.arange(SHARED) >= 4)).solve(x, np.ones(len(views)))
-    except CalibrationError:
-        return False
-    normals = exp(split_poses(y)[0])[:, :, 2]
+    normals = exp(split_poses(x)[0])[:, :, 2]
     normals *= np.sign(normals[:, 2:])
     return bool(np.all(normals @ normals[0] > np.cos(_MIN_BOARD_ANGLE)))
 
@@ -157,18 +153,6 @@ def _first_adjustment(bundle: Bundle, x: Array) -> Array:
             "no camera explains the views together; are the photos of one camera, one zoom, one board?"
         )
     return found
-
-
-def _focals(views: Sequence[View], size: tuple[int, int]) -> Array:
-    """Focal lengths for the start: that of the homographies (Zhang 2000), and those of usual lenses."""
-    usual = max(size) * np.array([0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
-    try:
-        by_views = cv2.initCameraMatrix2D(
-            [v.points.astype(np.float32) for v in views], [v.uv.astype(np.float32) for v in views], size
-        )[0, 0]
-    except cv2.error:
-        return usual
-    return np.append(usual, by_views) if 0.2 * max(size) < by_views < 20.0 * max(size) else usual
 
 
 # ---- variances ----
@@ -253,7 +237,6 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
     covariance[np.ix_(estimated, estimated)] = widening * _estimated_weights(N, prior, part.counts) * factor * Q
     of_shape = covariance[INTERIOR:SHARED, INTERIOR:SHARED].copy()
     covariance = np.delete(np.delete(covariance, np.s_[INTERIOR:SHARED], axis=0), np.s_[INTERIOR:SHARED], axis=1)
-    _into_cam(covariance, y)
     x[columns] = y
     _sigmas_and_poses(bundle, x, used, sigma[used])
     camera = replace(camera_of(x, bundle.size), covariance=covariance[:INTERIOR, :INTERIOR].copy())
@@ -275,16 +258,6 @@ def _with_covariance(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: A
         bow=(float(np.max(np.abs(bow))), float(np.sqrt(farthest @ of_shape @ farthest))),
         stretch=(float(x[INTERIOR]), float(np.sqrt(of_shape[0, 0]))),
     )
-
-
-def _into_cam(covariance: Array, y: Array) -> None:
-    """Convert the covariance of rotation vectors to that of small rotations in cam, in place."""
-    r, _ = split_poses(y)
-    J = left_jacobian(r)
-    for v in range(len(r)):
-        rows = slice(INTERIOR + 6 * v, INTERIOR + 3 + 6 * v)
-        covariance[rows] = J[v] @ covariance[rows]
-        covariance[:, rows] = covariance[:, rows] @ J[v].T
 
 
 def _on_the_shared(J: Jacobian, residual: Array, groups: Sequence[NDArray[np.bool_]], k: int) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from scipy import sparse
 
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
 from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
-from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
+from spheremouse.geometry.rotation import Array, exp, hat, log
 from spheremouse.geometry.statistics import mad_sigma
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
@@ -177,7 +177,7 @@ class Bundle:
         J[:, :, :INTERIOR] = interior_jacobian(cam[:, :2] / z[:, None], camera)
         J[:, :, INTERIOR:SHARED] = duv @ R @ self._by_shape
         J[:, :, :SHARED] *= self.free
-        J[:, :, SHARED : SHARED + 3] = duv @ (-hat(turned) @ left_jacobian(r)[self.of])
+        J[:, :, SHARED : SHARED + 3] = duv @ -hat(turned)
         J[:, :, SHARED + 3 :] = duv
         return uv - self.uv, J
 
@@ -187,15 +187,16 @@ class Bundle:
         `sigma` (v,) px is that of a coordinate in each view. With a finite `knee`, in sigmas, Huber's function replaces
         the square. Raises CalibrationError if it does not converge.
         """
-        estimated = self.estimated(len(x))
-
-        def moved(x: Array, step: Array) -> Array:
-            y = x.copy()
-            y[estimated] += step
-            return y
-
         hint = "is a photo of another zoom or board among them?"
-        return adjust(lambda x: self.jacobian(x, sigma), x, moved, hint, knee)
+        return adjust(lambda x: self.jacobian(x, sigma), x, self.retract, hint, knee)
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """Apply a step of the estimated unknowns, (e,), to the unknowns; that of a rotation is a small one in cam."""
+        full = np.zeros(len(x))
+        full[self.estimated(len(x))] = step
+        moved = x + full
+        split_poses(moved)[0] = log(exp(split_poses(full)[0]) @ exp(split_poses(x)[0]))
+        return moved
 
     def estimated(self, unknowns: int) -> NDArray[np.intp]:
         """Return the indices of those of the unknowns that are estimated, (e,)."""

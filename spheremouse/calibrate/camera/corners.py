@@ -8,6 +8,7 @@ first calibration, `measure_in_plane` uses windows of the board's plane, in whic
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import cv2
 import numpy as np
@@ -135,9 +136,11 @@ def measure_in_plane(
     """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
     start, _ = _on_plane(seen.uv, camera, R, t)
-    reach = _reach(pattern) * pattern.square * _fitting(start, _reach(pattern) * pattern.square, grey, camera, R, t)
-    good = np.isfinite(start).all(axis=1) & (reach > 0.0)
-    ids, uv, start, reach = seen.ids[good], seen.uv[good], start[good], reach[good]
+    reach = _reach(pattern) * pattern.square
+    low, high = _boxes(start, reach, camera, R, t)
+    fits = (low >= 1.0) & (high <= np.array(grey.shape[::-1]) - 2.0) & (high - low >= 2 * _MIN_WINDOW)  # nan: False
+    good = np.all(fits, axis=1)
+    ids, uv, start = seen.ids[good], seen.uv[good], start[good]
     if len(ids):
         corners = _where_gradients_meet(grey, start, reach, camera, R, t)
         found, _ = project(_in_cam(corners, R, t), camera)
@@ -177,29 +180,12 @@ def _on_plane(uv: Array, camera: InteriorOrientation, R: Array, t: Array) -> tup
     return (ray * s[:, None] - t) @ R[:, :2], np.einsum("ji,njk->nik", R[:, :2], dpoint)
 
 
-def _boxes(plane: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
+def _boxes(plane: Array, reach: float, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
     """Boxes in the image, low and high (n, 2) px, around square windows of the plane."""
-    ends = np.array(
-        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]
-    )
-    rim = plane[:, None] + reach[:, None, None] * ends
+    rim = plane[:, None] + reach * np.array(list(product((-1.0, 0.0, 1.0), repeat=2)))
     uv, _ = project(_in_cam(rim.reshape(-1, 2), R, t), camera)
     uv = uv.reshape(len(plane), -1, 2)
     return uv.min(axis=1), uv.max(axis=1)
-
-
-def _fitting(
-    plane: Array, reach: float, grey: NDArray[np.uint8], camera: InteriorOrientation, R: Array, t: Array
-) -> Array:
-    """Factors on the windows, (n,), that keep them inside the image; 0 if too little is left."""
-    limit = np.array(grey.shape[::-1]) - 2.0
-    factor, fits = np.ones(len(plane)), np.zeros(len(plane), bool)
-    for _ in range(6):
-        low, high = _boxes(plane, reach * factor, camera, R, t)
-        inside = np.all((low >= 1.0) & (high <= limit), axis=1)
-        fits = inside & np.all(high - low >= 2 * _MIN_WINDOW, axis=1)
-        factor = np.where(inside, factor, 0.75 * factor)
-    return np.where(fits, factor, 0.0)
 
 
 def _gradient(grey: NDArray[np.uint8]) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
@@ -209,7 +195,7 @@ def _gradient(grey: NDArray[np.uint8]) -> tuple[cv2.typing.MatLike, cv2.typing.M
 
 
 def _where_gradients_meet(
-    grey: NDArray[np.uint8], start: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array
+    grey: NDArray[np.uint8], start: Array, reach: float, camera: InteriorOrientation, R: Array, t: Array
 ) -> Array:
     """Corners in the plane, (n, 2) m; nan if they leave their window."""
     low, high = _boxes(start, reach, camera, R, t)
@@ -221,7 +207,7 @@ def _where_gradients_meet(
     owner = np.repeat(np.arange(len(windows)), [window.shape[1] for window in windows])
     v, u = np.concatenate(windows, axis=1)
     place, slope = _on_plane(np.stack([u, v], axis=1).astype(float), camera, R, t)
-    near = np.abs(place - start[owner]).max(axis=1) < 1.5 * reach[owner]  # nan: False
+    near = np.abs(place - start[owner]).max(axis=1) < 1.5 * reach  # nan: False
     gu, gv = (g[v, u].astype(float) for g in _gradient(grey))
     u, v, owner, place, slope, gu, gv = u[near], v[near], owner[near], place[near], slope[near], gu[near], gv[near]
     det = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
@@ -234,7 +220,7 @@ def _where_gradients_meet(
     )
     for _ in range(_MAX_ITERATIONS):
         d = place - corner[owner]
-        weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach[owner] ** 2) * (np.abs(d).max(axis=1) < reach[owner])
+        weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach**2) * (np.abs(d).max(axis=1) < reach)
         sums = [
             np.bincount(owner, weight * value, len(start))
             for value in (xx, xy, yy, xx * d[:, 0] + xy * d[:, 1], xy * d[:, 0] + yy * d[:, 1])

@@ -15,6 +15,7 @@ from spheremouse.ball.device import Device
 from spheremouse.ball.pose import Sighting, closed_form_poses, predict_targets
 from spheremouse.ball.rig import NO_TARGETS, Rig, Targets
 from spheremouse.calibrate.device.start import axes_of
+from spheremouse.calibrate.outline.fit import R_OBJ_CAM
 from spheremouse.calibrate.rolling.adjust import lens_root
 from spheremouse.calibrate.rolling.problem import Rolling
 from spheremouse.errors import CalibrationError
@@ -296,7 +297,7 @@ def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera:
     outer = float(device.target_radii[2])
     xy, by_uv = unproject(uv, camera)
     depth = outer * np.sqrt(camera.fx * camera.fy) / size
-    R = np.diag([1.0, -1.0, -1.0])
+    R = R_OBJ_CAM
     places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
     for _ in range(50):  # foreshortening depends on the axes, and the axes on the places
         normal = np.broadcast_to(R[2], places.shape)

@@ -16,13 +16,12 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import TrackState
 from spheremouse.ball.track import step
+from spheremouse.calibrate.outline.fit import R_OBJ_CAM
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
-
-R_OBJ_CAM = np.diag([1.0, -1.0, -1.0])  # provisional axes: those of the picture, Y up and Z to the camera
 
 _MIN_SEMI_MINOR = 2.0  # px; below, both rims are one blur, with a bias that is the same in every frame
 _DIRECTION_SIGMA = 0.003  # rad, when two maps are matched

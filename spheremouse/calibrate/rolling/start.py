@@ -17,8 +17,9 @@ from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
+from spheremouse.calibrate.outline.fit import rays_of
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.matching import distances, mutual_nearest, suppress
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
@@ -258,17 +259,11 @@ def _informative_pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _P
     common = np.isfinite(at[first, :, 0] + at[second, :, 0])
     path = np.argsort(~common, axis=1, kind="stable")[:, : common.sum(axis=1).max(initial=0)]  # the common ones first
     before, after = (
-        _unit_rays(at[frame[:, None], path].reshape(-1, 2), camera).reshape(*path.shape, 3) for frame in (first, second)
+        rays_of(at[frame[:, None], path].reshape(-1, 2), camera).reshape(*path.shape, 3) for frame in (first, second)
     )
     present = np.isfinite(before[..., 0] + after[..., 0])
     before, after = (np.where(present[..., None], rays, [0.0, 0.0, 1.0]) for rays in (before, after))
     return _Pairs(before, after, present, path)
-
-
-def _unit_rays(uv: Array, camera: InteriorOrientation) -> Array:
-    xy, _ = unproject(uv, camera)
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
 
 
 def _direction_and_ratio(x: Array) -> tuple[Array, float]:
@@ -323,7 +318,7 @@ def _search_ball(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientati
 
     A grid over the middle of the spots and sizes of 0.35 to 3 times theirs, then refinements.
     """
-    rays = _unit_rays(np.concatenate([p.centre for p in paths]), camera)
+    rays = rays_of(np.concatenate([p.centre for p in paths]), camera)
     rays = rays[np.isfinite(rays[:, 2])]
     box = np.quantile(rays[:, :2] / rays[:, 2:], [0.02, 0.98], axis=0)
     middle, half = box.mean(axis=0), 0.5 * np.ptp(box, axis=0)

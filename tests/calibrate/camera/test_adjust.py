@@ -123,7 +123,7 @@ def test_jacobian_is_the_finite_difference():
     steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(4, 1e-5), np.full(18, 1e-6)])
     for k, step in enumerate(steps):
         d = step * np.eye(len(x))[k]
-        plus, minus = (bundle.jacobian(x + s * d, sigma)[0] for s in (1.0, -1.0))
+        plus, minus = (bundle.jacobian(bundle.retract(x, s * d), sigma)[0] for s in (1.0, -1.0))
         difference = (plus - minus) / (2.0 * step)
         assert np.allclose(J[:, k], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
 
