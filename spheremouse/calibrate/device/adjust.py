@@ -1,7 +1,7 @@
 """Adjustment of a device: targets, ball and discs with their joint covariance, from image points.
 
-Wittich 2017, sections 2.4.4, 3.7 and 4.3: a bundle adjustment, a sphere through its discs, and a translation to the
-sphere's centre (eq. 91, 92).
+Wittich 2017, sections 2.4.4, 3.7 and 4.3: a bundle adjustment, the same with its discs on a sphere, and a translation
+to the sphere's centre (eq. 91, 92).
 """
 
 from dataclasses import dataclass, replace
@@ -27,10 +27,10 @@ from spheremouse.calibrate.device.bundle import (
 )
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.least_squares.adjust import outlier_statistic, redundancy, variance_factors
-from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
-from spheremouse.geometry.rotation import Array, exp, tangent_basis
+from spheremouse.geometry.least_squares.sphere import MIN_POINTS, algebraic_sphere, off_sphere, out_of_round
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.geometry.statistics import gate
 
 DOUBTFUL_RMS = 0.5  # px; sharp photos of the right camera stay far below
@@ -91,7 +91,7 @@ class DeviceCalibration:
     skipped: tuple[tuple[int, str], ...]  # photos left out, with the reason
     doubtful: tuple[tuple[int, str], ...]  # photos without usable discs, with the reason
     problem: Problem  # the weighted observations
-    solution: Solution  # the bundle, before the sphere, in its own frame and in m
+    solution: Solution  # the bundle, in its own frame and in m
 
     @property
     def directions(self) -> Array:
@@ -141,8 +141,13 @@ class BundleResult:
     everything: ImagePoints
     used: NDArray[np.bool_]  # (n,) of `everything`
     solution: Solution
-    sphere: Sphere
     factors: tuple[float, float]  # variance factors of targets and discs: estimated over assumed
+
+    @property
+    def ball(self) -> Array:
+        """Centre and radius of the ball, (4,) m."""
+        assert self.solution.block.ball is not None
+        return self.solution.block.ball
 
 
 def adjust_bundle(
@@ -177,10 +182,11 @@ def adjust_bundle(
         factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
         weighted = ImagePoints(image.photo[used], index, image.centre[used], factor * image.covariance[used])
         problem = Problem(device, camera, weighted, not device.distances)
+        start = replace(block, points=points[kept])
         try:
-            solution = solve_block(problem, replace(block, points=points[kept]), knee)
+            solution = solve_block(problem, start, knee)
         except np.linalg.LinAlgError as e:
-            left_out |= image.point == _undetermined_disc(e, problem, kept)
+            left_out |= image.point == _undetermined_disc(e, problem, start, kept)
             continue
         block, points[kept], knee = solution.block, solution.block.points, np.inf
         residual, cofactor = image_residuals(solution, len(weighted))
@@ -197,9 +203,10 @@ def adjust_bundle(
         elif np.any(np.abs(np.log(spread)) > 0.02):
             factors = now
         else:
-            sphere, outside = _sphere(solution, n)
+            ball, outside = _ball(solution, n)
             if not np.any(outside):
-                return BundleResult(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
+                problem, solution = _on_ball(problem, solution, ball)
+                return BundleResult(problem, image, used, solution, (float(factors[0]), float(factors[1])))
             left_out |= np.isin(image.point, kept[n:][outside])
     raise CalibrationError(
         "the photos do not agree among themselves: are they all of this camera, in the mode of the camera file, and "
@@ -209,38 +216,32 @@ def adjust_bundle(
 
 def shift_to_ball(result: BundleResult, views: TargetViews, device: Device) -> DeviceCalibration:
     """Move the origin to the ball's centre (eq. 91, 92), with the joint covariance."""
-    solution, sphere, columns = result.solution, result.sphere, result.solution.columns
-    block, n = solution.block, len(device.ids)
-    unit = 1.0 if device.distances else sphere.radius
-    covariance = _covariance_about_ball(result, n, unit, in_radii=not device.distances)
-    l, K = sphere.observations, sphere.centre
+    solution, block, n, ball = result.solution, result.solution.block, len(device.ids), result.ball
+    unit = 1.0 if device.distances else float(ball[3])
+    covariance = _covariance_about_ball(solution, n, unit, in_radii=not device.distances)
     poses = []
     for i, pose in enumerate(block.poses):
         here = slice(3 * n + 1 + 6 * i, 3 * n + 7 + 6 * i)
-        step = l[columns.pose(i)]
-        poses.append(Pose(exp(step[3:]) @ pose.rotation, (step[:3] - K) / unit, covariance[here, here].copy()))
-    points = l[columns.point(np.arange(len(block.points)))]
+        poses.append(Pose(pose.rotation, (pose.position - ball[:3]) / unit, covariance[here, here].copy()))
+    points = (block.points - ball[:3]) / unit
     measured = _all_image_points(result)
     return DeviceCalibration(
         device=device,
-        camera=replace(
-            with_interior(block.camera, interior_vector(block.camera) + l[:INTERIOR]),
-            covariance=sphere.observation_covariance[:INTERIOR, :INTERIOR].copy(),
-        ),
+        camera=replace(block.camera, covariance=solution.covariance[:INTERIOR, :INTERIOR].copy()),
         photos=views.photos,
         poses=tuple(poses),
-        targets=(points[:n] - K) / unit,
-        radius=sphere.radius / unit,
-        discs=(points[n:] - K) / unit,
+        targets=points[:n],
+        radius=float(ball[3]) / unit,
+        discs=points[n:],
         sightings=np.bincount(result.problem.image.point, minlength=len(points))[n:],
         covariance=covariance,
-        centre=K / unit,
-        ball_covariance=sphere.covariance / unit**2,
-        out_of_round=sphere.out_of_round / unit,
+        centre=ball[:3] / unit,
+        ball_covariance=solution.covariance[-4:, -4:] / unit**2,
+        out_of_round=result.problem.out_of_round / unit,
         measured=measured,
         rms_px=float(np.sqrt(np.mean(measured.residual[result.used] ** 2))),
         variance_factors=result.factors,
-        distance_residuals=distances(device, points[:n]) - np.array([d.metres for d in device.distances]),
+        distance_residuals=distances(device, block.points) - np.array([d.metres for d in device.distances]),
         ring_scale=_ring_scale(views, block),
         scale_free=not device.distances,
         unit=unit,
@@ -251,26 +252,24 @@ def shift_to_ball(result: BundleResult, views: TargetViews, device: Device) -> D
     )
 
 
-def _covariance_about_ball(result: BundleResult, n: int, unit: float, in_radii: bool) -> Array:
+def _covariance_about_ball(solution: Solution, n: int, unit: float, in_radii: bool) -> Array:
     """Joint covariance of `DeviceCalibration`, of [n targets, radius, poses, discs], lengths over `unit`."""
-    sphere, columns = result.sphere, result.solution.columns
-    k, m = len(result.solution.block.poses), len(result.solution.block.points) - n
-    points = columns.point(np.arange(n + m))
-    of_row = np.concatenate(
-        [points[:n].ravel(), [columns.all + 3], columns.pose(np.arange(k)).ravel(), points[n:].ravel()]
-    )
-    J = np.zeros((len(of_row), columns.all + 4))
+    block, columns = solution.block, solution.columns
+    points, poses = columns.point(np.arange(columns.points)), columns.pose(np.arange(columns.photos))
+    of_row = np.concatenate([points[:n].ravel(), [columns.all - 1], poses.ravel(), points[n:].ravel()])
+    J = np.zeros((len(of_row), columns.all))
     J[np.arange(len(J)), of_row] = 1.0
-    turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
+    turns = 3 * n + 1 + (np.arange(columns.photos)[:, None] * 6 + np.arange(3, 6)).ravel()
     lengths = np.setdiff1d(np.arange(len(J)), turns)
     places = lengths[lengths != 3 * n]  # all but the radius: they count from the centre
-    J[places, columns.all + np.arange(len(places)) % 3] = -1.0
+    J[places, columns.all - 4 + np.arange(len(places)) % 3] = -1.0
     if in_radii:  # y = x / R
-        y = J[lengths] @ np.concatenate([sphere.observations, sphere.centre, [sphere.radius]])
+        x = np.zeros(columns.all)
+        x[poses[:, :3]], x[points], x[-4:] = [p.position for p in block.poses], block.points, block.ball
+        y = J[lengths] @ x
         J[lengths] /= unit
-        J[lengths, columns.all + 3] -= y / unit**2
-    cross = sphere.cross_covariance
-    covariance = J @ np.block([[sphere.observation_covariance, cross], [cross.T, sphere.covariance]]) @ J.T
+        J[lengths, columns.all - 1] -= y / unit**2
+    covariance = J @ solution.covariance @ J.T
     return 0.5 * (covariance + covariance.T)
 
 
@@ -370,9 +369,9 @@ def _fixed(
     return fixed
 
 
-def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:
+def _undetermined_disc(error: np.linalg.LinAlgError, problem: Problem, block: Block, kept: NDArray[np.intp]) -> int:
     """The disc that is not determined, as its rays are nearly alike; CalibrationError if it is another unknown."""
-    columns = columns_of(problem, int(problem.image.photo.max()) + 1, len(kept))
+    columns = columns_of(problem, block)
     column = int(columns.free[error.args[0]]) - int(columns.point(0)[0])
     if column < 0:
         raise CalibrationError("a photo does not determine its pose: leave out photos with few targets") from None
@@ -389,15 +388,33 @@ def _require_targets(kept: NDArray[np.intp], device: Device) -> None:
         )
 
 
-def _sphere(solution: Solution, n: int) -> tuple[Sphere, NDArray[np.bool_]]:
-    """Sphere through all points but the first n, and True for those off it: bolts, dark spots of frame and room."""
-    block, where = solution.block, solution.columns.point(np.arange(n, len(solution.block.points)))
-    # all columns are observations; interior orientation and rotations are differences, 0
-    poses = [np.concatenate([pose.position, np.zeros(3)]) for pose in block.poses]
-    observations = np.concatenate([np.zeros(INTERIOR), *poses, block.points.ravel()])
-    sphere = fit_sphere(observations, solution.covariance, where)
+def _ball(solution: Solution, n: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Sphere (4,) through all points but the first n, and True for those off it: bolts, dark spots of frame and room.
+
+    Raises CalibrationError for fewer than five points, or for points in a plane.
+    """
+    discs, where = solution.block.points[n:], solution.columns.point(np.arange(n, solution.columns.points))
+    if len(discs) < MIN_POINTS:
+        raise CalibrationError(
+            f"{len(discs)} discs on the ball are known, a sphere takes at least {MIN_POINTS}: show more of them"
+        )
+    centre, radius = algebraic_sphere(discs)
+    if not np.isfinite(radius):
+        raise CalibrationError("the discs lie in a plane: photograph more of the ball")
     blocks = np.stack([solution.covariance[np.ix_(w, w)] for w in where])
-    return sphere, off_sphere(block.points[n:], blocks, sphere)
+    return np.array([*centre, radius]), off_sphere(discs, blocks, centre, radius)
+
+
+def _on_ball(problem: Problem, solution: Solution, ball: Array) -> tuple[Problem, Solution]:
+    """Adjust once more with the discs on a sphere, near `ball` (4,); a ball out of round lets them scatter about it."""
+    discs = solution.columns.point(np.arange(problem.targets, solution.columns.points)).ravel()
+    C = solution.covariance[np.ix_(discs, discs)]
+    scatter = out_of_round(solution.block.points[problem.targets :], C, ball[:3], float(ball[3]))
+    problem = replace(problem, out_of_round=scatter)
+    try:
+        return problem, solve_block(problem, replace(solution.block, ball=ball))
+    except np.linalg.LinAlgError:
+        raise CalibrationError("the discs do not fix a sphere: photograph more of the ball") from None
 
 
 def _ring_scale(views: TargetViews, block: Block) -> float:

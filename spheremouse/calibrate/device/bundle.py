@@ -27,6 +27,7 @@ from spheremouse.geometry.least_squares.adjust import Jacobian, adjust, cofactor
 from spheremouse.geometry.rotation import Array, exp, hat
 
 INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+_EXACT = 2e-6  # of the radius, standard deviation of discs on a round ball: far below their measurement's
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,7 @@ class Block:
     camera: InteriorOrientation
     poses: tuple[Pose, ...]  # of the photos, in the frame of the targets
     points: Array  # (m, 3) m: targets, then discs
+    ball: Array | None = None  # (4,) m, centre and radius of a sphere that holds the discs; None: they are free
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ class Problem:
     image: ImagePoints
     scale_free: bool
     depth: Array | None = None  # (n, 2) m: depth of each point in cam and its standard deviation, if it is a guess
+    out_of_round: float = 0.0  # m, standard deviation of the discs from the sphere
 
     @property
     def targets(self) -> int:
@@ -73,16 +76,17 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Places of the unknowns: interior, six for each pose (position, rotation), three for each point."""
+    """Places of the unknowns: interior, 6 for each pose (position, rotation), 3 for each point, then the ball's 4."""
 
     photos: int
     points: int
+    ball: int  # 4, or 0 without a ball
     free: NDArray[np.intp]  # (f,) indices of the adjusted ones
 
     @property
     def all(self) -> int:
         """Unknowns and those held."""
-        return INTERIOR + 6 * self.photos + 3 * self.points
+        return INTERIOR + 6 * self.photos + 3 * self.points + self.ball
 
     def pose(self, photo: NDArray[np.intp] | int) -> NDArray[np.intp]:
         """Return the columns of poses, (..., 6)."""
@@ -106,11 +110,12 @@ class Solution:
     jacobian: Jacobian  # (r, f) of the residuals by the free unknowns
 
 
-def columns_of(problem: Problem, photos: int, points: int) -> Columns:
+def columns_of(problem: Problem, block: Block) -> Columns:
     """Return the adjusted columns: all but those that define the frame."""
     device = problem.device
     row, axes = device.row, device.axes
-    everything = Columns(photos, points, np.zeros(0, dtype=np.intp))
+    ball = 0 if block.ball is None else 4
+    everything = Columns(len(block.poses), len(block.points), ball, np.zeros(0, dtype=np.intp))
     held = [*everything.point(row[axes.origin]), *everything.point(row[axes.up])[[0, 2]]]
     held.append(everything.point(row[axes.plane])[2])
     if problem.scale_free:
@@ -124,7 +129,7 @@ def solve_block(problem: Problem, block: Block, knee: float = np.inf) -> Solutio
 
     `knee` is that of Huber's function in standard deviations; infinite: least squares.
     """
-    columns = columns_of(problem, len(block.poses), len(block.points))
+    columns = columns_of(problem, block)
     block = adjust(
         lambda block: evaluate(problem, block, columns),
         block,
@@ -197,7 +202,8 @@ def apply_step(block: Block, columns: Columns, x: Array) -> Block:
     poses = tuple(
         Pose(exp(s[3:]) @ pose.rotation, pose.position + s[:3]) for pose, s in zip(block.poses, steps, strict=True)
     )
-    return Block(camera, poses, block.points + full[INTERIOR + 6 * columns.photos :].reshape(-1, 3))
+    points = full[columns.point(np.arange(columns.points))]
+    return Block(camera, poses, block.points + points, None if block.ball is None else block.ball + full[-4:])
 
 
 def evaluate(problem: Problem, block: Block, columns: Columns) -> tuple[Array, Jacobian]:
@@ -225,6 +231,8 @@ def evaluate(problem: Problem, block: Block, columns: Columns) -> tuple[Array, J
         parts.append(((cam[:, 2] - z) / sigma, J))
     if np.any(problem.camera.covariance):
         parts.append(_prior(block.camera, problem.camera, columns))
+    if block.ball is not None:
+        parts.append(_on_sphere(problem, block, block.ball, columns))
     J = sparse.csr_array(sparse.vstack([J for _, J in parts]))
     return np.concatenate([residual for residual, _ in parts]), sparse.csr_array(J[:, columns.free])
 
@@ -257,6 +265,18 @@ def _distances(problem: Problem, block: Block, columns: Columns) -> tuple[Array,
     where = columns.point(device.ends).reshape(-1, 6)
     J = np.concatenate([-along, along], axis=1)
     return (length - measured) / sigma, _rows((J / sigma[:, None])[:, None], where, columns)
+
+
+def _on_sphere(problem: Problem, block: Block, ball: Array, columns: Columns) -> tuple[Array, Jacobian]:
+    """The discs' distances from the sphere as observations (Wittich 2017, section 3.7, has them as conditions)."""
+    discs = np.arange(problem.targets, len(block.points))
+    way = block.points[discs] - ball[:3]
+    length = np.linalg.norm(way, axis=1)
+    sigma = max(problem.out_of_round, _EXACT * ball[3])
+    normal = way / length[:, None]
+    J = np.column_stack([normal, -normal, -np.ones(len(discs))]) / sigma
+    of_ball = np.broadcast_to(columns.all + np.arange(-4, 0), (len(discs), 4))
+    return (length - ball[3]) / sigma, _rows(J[:, None], np.hstack([columns.point(discs), of_ball]), columns)
 
 
 def _prior(camera: InteriorOrientation, prior: InteriorOrientation, columns: Columns) -> tuple[Array, Jacobian]:

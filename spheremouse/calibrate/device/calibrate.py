@@ -132,7 +132,7 @@ def _measured_discs(
     In `photos` they are darker than the ball, for any setting of their colours.
     """
     settings = replace(settings, polarity="dark", weights=())
-    block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
+    block, K, R = result.solution.block, result.ball[:3], float(result.ball[3])
     rig = ball_rig(block.camera, K, R, device.disc_radius)
     seen = [
         disc_detector(settings, rig, pose).detect(grey) for (grey, _), pose in zip(photos, block.poses, strict=True)
@@ -178,7 +178,7 @@ def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: Int
 
 def _doubtful(result: BundleResult, spots: Spots, views: TargetViews, device: Device) -> tuple[tuple[int, str], ...]:
     """Return the photos with discs at other places than in all other photos of that side: the ball turned before."""
-    block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
+    block, K, R = result.solution.block, result.ball[:3], float(result.ball[3])
     directions, index = directions_on_ball(spots, block.poses, block.camera, K, R)
     photo = spots.photo[index]
     discs = block.points[len(device.ids) :] - K

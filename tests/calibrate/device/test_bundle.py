@@ -71,9 +71,11 @@ def simulated(
 @pytest.mark.parametrize("depth", [False, True])
 def test_jacobian_is_the_finite_difference(depth):
     problem, start, _ = simulated(0)
+    start = replace(start, ball=np.array([0.3, 0.5, -0.3, 0.4]))
+    problem = replace(problem, out_of_round=0.1)
     if depth:
         problem = replace(problem, depth=np.full((len(problem.image), 2), (2.5, 0.05)))
-    columns = bundle.columns_of(problem, 6, len(start.points))
+    columns = bundle.columns_of(problem, start)
 
     def at(x):
         return bundle.evaluate(problem, bundle.apply_step(start, columns, x), columns)
