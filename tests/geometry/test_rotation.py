@@ -23,7 +23,6 @@ from spheremouse.geometry.rotation import (
     to_euler,
 )
 from spheremouse.geometry.statistics import gate, mad_sigma, poisson_tail, ratio_gate
-from spheremouse.native import kernels
 
 
 def vectors(limit):
@@ -95,13 +94,9 @@ def test_left_jacobian_is_its_series_for_small_vectors(length):
 
 
 @given(angles)
-def test_euler_angles_are_scipys_intrinsic_xyz(a):
-    assert_allclose(from_euler(a), Rotation.from_euler("XYZ", a).as_matrix(), atol=1e-14)
-
-
-@given(angles)
-def test_euler_angles_come_back(a):
+def test_euler_angles_are_scipys_intrinsic_xyz_and_come_back(a):
     R = from_euler(a)
+    assert_allclose(R, Rotation.from_euler("XYZ", a).as_matrix(), atol=1e-14)
     b = to_euler(R)
     assert abs(b[1]) <= np.pi / 2
     assert_allclose(from_euler(b), R, atol=3e-9)  # near phi = 90 deg kappa is set to 0 within 1e-9
@@ -141,22 +136,6 @@ def test_align_is_scipys_align_vectors(v, seed):
     w = rng.uniform(0.1, 2.0, 8)
     assert_allclose(align(a, b), Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
     assert_allclose(align(a, b, w), Rotation.align_vectors(b, a, weights=w)[0].as_matrix(), atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_matching_maximises_the_total(seed):
-    rng = np.random.default_rng(seed)
-    n, m = rng.integers(1, 9, size=2)
-    worth = rng.normal(size=(n, m)) + (1.0 if seed % 2 else -0.5)
-    if seed % 3 == 0:
-        worth = np.round(worth)  # ties
-    column = kernels.match(worth)
-    rows = np.flatnonzero(column >= 0)
-    assert len(set(column[rows])) == len(rows)
-    gain = np.maximum(worth, 0.0)
-    i, j = linear_sum_assignment(gain, maximize=True)
-    assert_allclose(worth[rows, column[rows]].sum(), gain[i, j].sum(), atol=1e-12)
-    assert np.all(worth[rows, column[rows]] > 0.0)
 
 
 costs = hnp.array_shapes(min_dims=2, max_dims=2, min_side=0, max_side=5).flatmap(

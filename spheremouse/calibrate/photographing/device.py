@@ -3,7 +3,7 @@
 Targets place a frame among the photos, as at the start of `calibrate device`. It reports the same missing sides.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,8 +65,8 @@ class DeviceSelector(Selector[TargetDetections]):
     def describe(self, seen: TargetDetections) -> str:
         return f"{len(set(seen.codes) & set(self._device.codes))} of {len(self._device.codes)} targets"
 
-    def resume(self, read: Callable[[], Image]) -> bool:
-        counts = super().resume(read)
+    def resume(self, picture: Image) -> bool:
+        counts = super().resume(picture)
         self._resumed += counts
         return counts
 

@@ -4,7 +4,7 @@ A frame becomes a photo if it is sharp, its subject does not move, and it adds a
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -99,9 +99,9 @@ class Selector(ABC, Generic[S]):
         hindrance = self.fault(seen) or self._blur(picture, self.points(seen)[1])
         return FrameCheck(seen, f"{words}; {hindrance}") if hindrance else FrameCheck(seen, words, new)
 
-    def resume(self, read: Callable[[], Image]) -> bool:
+    def resume(self, picture: Image) -> bool:
         """Count an existing photo; return False if it shows nothing of use."""
-        seen = self.detect(read(), quick=False)
+        seen = self.detect(picture, quick=False)
         if self.fault(seen):
             return False
         self.add(seen)

@@ -187,7 +187,7 @@ def _resumed(begin: Callable[[Size], Selector], picture: Image, folder: Path, sc
             f"--source KIND:ARG,width={photos[0].size[0]},height={photos[0].size[1]}, or put the photos elsewhere"
         )
     screen.print(f"{folder}: looking at the {len(photos)} photos there")
-    idle = [p.path.name for p in photos if not selector.resume(lambda photo=p: image(photo))]
+    idle = [p.path.name for p in photos if not selector.resume(image(p))]
     screen.print(f"{folder}: goes on with {selector.count} photos")
     if idle:
         screen.print(f"note: {', '.join(idle)}: show too little to count")

@@ -227,15 +227,13 @@ def test_terms_that_are_held_stay_zero():
         assert np.all(found.deviations[: 4 + terms] > 0.0)
 
 
-def test_too_few_views_are_refused():
-    rng, R, t = scene(16, 2)
-    with pytest.raises(CalibrationError, match="2 views do not determine"):
-        calibrate_board(views(R, t, rng, 0.1), SIZE)
-
-
-def test_parallel_views_leave_the_focal_length_open():
-    rng, R, t = scene(17, 6, tilt=(0.0, 0.0))
-    with pytest.raises(CalibrationError, match="leave the focal length open"):
+@pytest.mark.parametrize(
+    ("n", "how", "words"),
+    [(2, {}, "2 views do not determine"), (6, {"tilt": (0.0, 0.0)}, "leave the focal length open")],
+)
+def test_views_that_do_not_determine_the_camera_are_refused(n, how, words):
+    rng, R, t = scene(17, n, **how)
+    with pytest.raises(CalibrationError, match=words):
         calibrate_board(views(R, t, rng, 0.1), SIZE)
 
 
