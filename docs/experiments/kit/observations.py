@@ -24,7 +24,8 @@ _RADIUS, _DISCS, _DISC = 0.6, 50, 0.02
 _CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
 _INTERIOR_SIGMA = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 4e-3, 5e-5, 5e-5, 5e-3])  # as fifteen photos of a board leave it
 _SIGMA, _TAPE = 0.05, 0.001  # px of an image point, m
-_AZIMUTH, _HEIGHT = np.radians([0, -40, 40, -15, 20, 30]), np.radians([5, 10, 0, 35, -10, 30])
+_STATIONS = ((0, 5), (-40, 10), (40, 0), (-15, 35), (20, -10), (30, 30))  # degrees to the right and up, of cameras
+_PAIRS = ((1, 2), (1, 4), (2, 3), (3, 4))  # of targets with a tape distance
 _MIN_COSINE = 0.35  # cosine at which a disc is still seen
 
 
@@ -43,21 +44,31 @@ class SimulatedCalibration:
 
 
 def simulated_calibration(
-    rng: np.random.Generator, scale_free: bool = False, interior: bool = True
+    rng: np.random.Generator,
+    scale_free: bool = False,
+    interior: bool = True,
+    *,
+    stations: tuple[tuple[float, float], ...] = _STATIONS,
+    pairs: tuple[tuple[int, int], ...] = _PAIRS,
+    tape: float = _TAPE,
+    bulge: float = 0.0,
 ) -> SimulatedCalibration:
-    """One of them; without `interior` the camera file is exact and says so."""
-    pairs = () if scale_free else ((1, 2), (1, 4), (2, 3), (3, 4))
-    tape = tuple(
-        Distance(a, b, float(np.linalg.norm(_TARGETS[a - 1] - _TARGETS[b - 1]) + _TAPE * rng.standard_normal()), _TAPE)
-        for a, b in pairs
+    """One of them; without `interior` the camera file is exact and says so.
+
+    Cameras stand at `stations`. Targets have distances in `pairs`, with a sigma of `tape` m; discs are `bulge` m off.
+    """
+    distances = tuple(
+        Distance(a, b, float(np.linalg.norm(_TARGETS[a - 1] - _TARGETS[b - 1]) + tape * rng.standard_normal()), tape)
+        for a, b in (() if scale_free else pairs)
     )
     radii = np.array([0.012, 0.024, 0.036])
-    device = Device((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), radii, _DISC, Axes(2, 1, 3), tape)
+    device = Device((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), radii, _DISC, Axes(2, 1, 3), distances)
     directions = spread_directions(_DISCS, 3.0 * _DISC / _RADIUS, rng)
-    poses = tuple(_looking(rng, a, h) for a, h in zip(_AZIMUTH, _HEIGHT, strict=True))
+    poses = tuple(_looking(rng, *np.radians(station)) for station in stations)
     photo, point = _in_view(poses, directions)
     shift = -_TARGETS[1]  # from the ball's centre to the frame of the targets
-    points = np.concatenate([_TARGETS, _RADIUS * directions]) + shift
+    off = bulge * rng.standard_normal((_DISCS, 1)) if bulge else 0.0
+    points = np.concatenate([_TARGETS, (_RADIUS + off) * directions]) + shift
     true = Block(_CAMERA, tuple(Pose(p.rotation, p.position + shift) for p in poses), points)
     covariance = np.tile(_SIGMA**2 * np.eye(2), (len(photo), 1, 1))
     image = ImagePoints(photo, point, np.zeros((len(photo), 2)), covariance)

@@ -37,9 +37,11 @@ def adjust(
 
     Levenberg-Marquardt with damping by gain (Nielsen 1999). `evaluate` returns residuals (n,) over their standard
     deviations, and their Jacobian (n, u). `retract` applies a step (u,). A cost that is not finite counts as the worst.
-    Raises CalibrationError with the `hint` if the start is invalid, or if the iteration does not converge. SciPy's
-    solver decomposes the Jacobian and takes thirty times as long for thirty photos; a network with a datum does not
-    need it.
+    Raises CalibrationError with the `hint` if the start is invalid, or if squares do not converge. Huber's function
+    only gives a start for squares, and outliers can make its convergence slow, so its last point is good enough.
+
+    SciPy's solver decomposes the Jacobian and takes thirty times as long for thirty photos; a network with a datum
+    does not need it.
     """
     residual, J = evaluate(at)
     cost, damping = huber_cost(residual, knee), _MIN_DAMPING
@@ -66,6 +68,8 @@ def adjust(
         at, cost = candidate, cost - gain * promised
         if gain * promised <= _COST_TOLERANCE * cost or np.linalg.norm(step) <= _STEP_TOLERANCE:
             return at
+    if knee < np.inf:
+        return at
     raise CalibrationError(f"the adjustment does not come to rest: {hint}")
 
 

@@ -6,68 +6,26 @@ from functools import cache
 
 import numpy as np
 import pytest
+from experiments.kit import observations
+from experiments.kit.observations import simulated_calibration
 
-from spheremouse.ball.device import Axes, Device, Distance
-from spheremouse.calibrate.device.adjust import DiscViews, adjust_bundle, shift_to_ball
 from spheremouse.calibrate.device.advice import advise, missing_sides, photo_scatter
-from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
-from spheremouse.calibrate.device.start import TargetViews
-from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.geometry.rotation import fibonacci_sphere
-from spheremouse.simulate.ball.stills import looking
 
-CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 960.0, 540.0)
-TARGETS = np.array([[-0.33, 0.2, 0.57], [-0.33, -0.6, 0.57], [0.33, -0.6, 0.57], [0.33, 0.2, 0.57]])
-RADIUS = 0.6
-ORIGIN = -TARGETS[1]  # from obj to the frame of the bundle
-FRONT = ((0.0, 5.0), (-12.0, 8.0), (12.0, 4.0), (-5.0, -7.0), (6.0, 15.0))  # degrees to the right, up
+FRONT = ((0.0, 5.0), (-10.0, 3.0), (10.0, 4.0), (-5.0, -14.0), (6.0, 8.0))  # degrees to the right, up
 ROUND = ((0.0, 5.0), (-50.0, 10.0), (50.0, 5.0), (-10.0, 45.0), (10.0, -35.0), (30.0, 25.0))
 EDGES = ((1, 2), (2, 3), (3, 4), (4, 1))
 
 
-def station(azimuth, height, distance=2.6):
-    a, h = np.radians([azimuth, height])
-    middle = np.array([0.0, -0.1, 0.28])
-    return looking(middle + distance * np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)]), middle, 0.0)
-
-
 @cache
-def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, discs=70, worse=None, bulge=0.0):
+def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, worse=None, bulge=0.0):
     """A calibration from photos at stations; `worse` (photo, factor) is less sharp, discs stand `bulge` m off."""
     rng = np.random.default_rng(seed)
-    distances = tuple(
-        Distance(a, b, float(np.linalg.norm(TARGETS[a - 1] - TARGETS[b - 1]) + tape * rng.standard_normal()), tape)
-        for a, b in pairs
-    )
-    radii = np.array([0.012, 0.024, 0.036])
-    device = Device((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), radii, 0.02, Axes(2, 1, 3), distances)
-    normals = fibonacci_sphere(discs)
-    on_ball = (RADIUS + bulge * rng.standard_normal((discs, 1))) * normals
-    poses = tuple(station(*s) for s in stations)
-    away = np.array([p.position for p in poses])[:, None] - on_ball
-    sees = np.sum(away * normals, axis=2) > np.cos(np.radians(65.0)) * np.linalg.norm(away, axis=2)
-    sees &= np.sum(sees, axis=0) >= 2
-    photo, disc = np.nonzero(sees)
-    k = len(poses)
-    photo, point = np.r_[np.repeat(np.arange(k), 4), photo], np.r_[np.tile(np.arange(4), k), 4 + disc]
-    points = np.concatenate([TARGETS, on_ball]) + ORIGIN
-    true = Block(CAMERA, tuple(Pose(p.rotation, p.position + ORIGIN) for p in poses), points)
-    covariance = np.tile(0.05**2 * np.eye(2), (len(photo), 1, 1))
-    image = ImagePoints(photo, point, np.zeros((len(photo), 2)), covariance)
-    noise = 0.05 * rng.standard_normal((len(photo), 2))
+    s = simulated_calibration(rng, not pairs, interior=False, stations=stations, pairs=pairs, tape=tape, bulge=bulge)
     if worse is not None:
-        noise[photo == worse[0]] *= worse[1]
-    image = replace(image, centre=predicted(true, image, Problem(device, CAMERA, image, not distances))[0] + noise)
-    is_target = point < 4
-    depth = np.concatenate([p.to_cam(TARGETS)[:, 2] for p in poses])
-    seen, number = np.unique(point[~is_target], return_inverse=True)
-    targets = image.take(is_target)
-    views = TargetViews(tuple(range(k)), targets, np.stack([depth, 0.02 * depth], axis=1), ())
-    seen_discs = DiscViews(
-        photo[~is_target], number, image.centre[~is_target], image.covariance[~is_target], points[seen]
-    )
-    start = replace(true, points=points[:4])
-    return shift_to_ball(adjust_bundle(views, seen_discs, start, device, CAMERA), views, device)
+        for points in (s.views.image, s.discs):
+            mine = points.photo == worse[0]
+            points.centre[mine] += 0.05 * np.sqrt(worse[1] ** 2 - 1.0) * rng.standard_normal((mine.sum(), 2))
+    return observations.calibrated(s)
 
 
 NAMES = [f"photo {k}" for k in range(1, 10)]
@@ -104,7 +62,7 @@ def test_photos_from_the_missing_sides_make_the_ball_more_certain():
 )
 def test_a_photo_from_a_side_is_wanted_no_more(azimuth, height, side):
     middle = np.array([0.1, -0.2, 0.3])
-    every = missing_sides(middle + station(0.0, 0.0).position[None] * [0.0, 0.0, 1.0], middle)
+    every = missing_sides(middle + np.array([[0.0, 0.0, 2.6]]), middle)
     a, h = np.radians([azimuth, height])
     place = middle + 2.6 * np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)])
     assert set(every) - set(missing_sides(place[None], middle)) == {side}
