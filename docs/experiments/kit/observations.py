@@ -91,7 +91,7 @@ def simulated_calibration(
             ImagePoints(photo[is_target], point[is_target], centre[is_target], covariance[is_target]), depth[is_target],
             ()
         ),
-        DiscViews(photo[~is_target], number, centre[~is_target], covariance[~is_target], rough),
+        DiscViews(ImagePoints(photo[~is_target], number, centre[~is_target], covariance[~is_target]), rough),
         Block(camera, start, points[:4].copy()), poses, _TARGETS, _RADIUS
     )  # fmt: skip
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.linalg import block_diag
 
 from spheremouse.ball.device import Device, DistanceError
@@ -20,15 +19,18 @@ from spheremouse.calibrate.device.bundle import (
     ImagePoints,
     Problem,
     Solution,
+    checked_residuals,
     columns_of,
+    distance_residuals,
     distances,
+    image_rms,
     predicted,
     solve_block,
 )
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.geometry.least_squares.adjust import outlier_statistic, redundancy, variance_factors
+from spheremouse.geometry.least_squares.adjust import outlier_statistic, variance_factors
 from spheremouse.geometry.least_squares.sphere import MIN_POINTS, algebraic_sphere, off_sphere, out_of_round
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.geometry.statistics import gate
@@ -44,10 +46,7 @@ _MAX_DISTANCE_SIGMAS = 3.5  # standard deviations of a distance from the photos
 class DiscViews:
     """Image points of the ball."""
 
-    photo: NDArray[np.intp]  # (n,) counts those of TargetViews
-    disc: NDArray[np.intp]  # (n,) from 0
-    centre: Array  # (n, 2) px
-    covariance: Array  # (n, 2, 2) px²
+    image: ImagePoints  # `photo` counts those of TargetViews, `point` the discs from 0
     position: Array  # (m, 3) m of the discs in the frame of the targets, roughly
 
 
@@ -158,11 +157,9 @@ def adjust_bundle(
     Raises CalibrationError if a target does not fit the photos, or if outliers remain after 40 rounds.
     """
     n = len(device.ids)
+    both = views.image, replace(discs.image, point=n + discs.image.point)
     image = ImagePoints(
-        np.concatenate([views.image.photo, discs.photo]),
-        np.concatenate([views.image.point, n + discs.disc]),
-        np.concatenate([views.image.centre, discs.centre]),
-        np.concatenate([views.image.covariance, discs.covariance]),
+        *(np.concatenate([getattr(part, name) for part in both]) for name in ("photo", "point", "centre", "covariance"))
     )
     is_disc = image.point >= n
     points = np.concatenate([block.points[:n], discs.position])
@@ -189,7 +186,7 @@ def adjust_bundle(
             left_out |= image.point == _undetermined_disc(e, problem, start, kept)
             continue
         block, points[kept], knee = solution.block, solution.block.points, np.inf
-        residual, cofactor = image_residuals(solution, len(weighted))
+        residual, cofactor = checked_residuals(solution, slice(2 * len(weighted)), 2)
         number = np.diagonal(cofactor, axis1=1, axis2=2)
         groups = [~is_disc[used], is_disc[used]]
         now = variance_factors(residual, number, groups, factors)
@@ -288,9 +285,7 @@ def check_distances(result: BundleResult, device: Device) -> None:
 
     Raises CalibrationError if the photos do not even fit each other. Distances without redundancy are not checked.
     """
-    first = 2 * len(result.problem.image)
-    residual = result.solution.residual[first : first + len(device.distances)]  # standard deviations
-    redundancies = distance_redundancy(result.problem, result.solution)
+    residual, redundancies = distance_residuals(result.problem, result.solution)
     checked = redundancies > 1e-3
     if not np.any(checked):
         return
@@ -306,30 +301,6 @@ def check_distances(result: BundleResult, device: Device) -> None:
         )
     by_others = device.distances[worst].metres + residual[worst] / redundancies[worst] * device.distances[worst].sigma
     raise DistanceError(device, worst, by_others, float(sigmas[worst]))
-
-
-def distance_redundancy(problem: Problem, solution: Solution) -> Array:
-    """Return the redundancy numbers of the tape distances, (k,), from 0, unchecked, to 1, wholly checked."""
-    k, at = len(problem.device.distances), 2 * len(problem.image)
-    if k == 0:
-        return np.zeros(0)
-    free = solution.columns.free
-    rows = sparse.csr_array(solution.jacobian[at : at + k])
-    return redundancy(rows, solution.covariance[np.ix_(free, free)])[:, 0, 0]
-
-
-def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
-    """Return the normalised residuals of n image points, (n, 2), and their cofactors, (n, 2, 2)."""
-    free = solution.columns.free
-    Q = solution.covariance[np.ix_(free, free)]
-    rows = sparse.csr_array(solution.jacobian[: 2 * n])
-    return solution.residual[: 2 * n].reshape(n, 2), redundancy(rows, Q, 2)
-
-
-def image_rms(problem: Problem, solution: Solution) -> float:
-    """Return the RMS per axis of the image points, px."""
-    residual = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
-    return float(np.sqrt(np.mean(residual**2)))
 
 
 def _turned(

@@ -8,7 +8,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from spheremouse.calibrate.device.adjust import DeviceCalibration, distance_redundancy, image_residuals
+from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse.calibrate.device.bundle import checked_residuals, distance_residuals
 from spheremouse.geometry.rotation import Array, fibonacci_sphere
 from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
@@ -60,7 +61,7 @@ def coverage(directions: Array) -> float:
 def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
     """Return the variance factor, (k,), and redundancy, (k,), of each photo used."""
     image = calibration.problem.image
-    residual, cofactor = image_residuals(calibration.solution, len(image))
+    residual, cofactor = checked_residuals(calibration.solution, slice(2 * len(image)), 2)
     k = len(calibration.poses)
     freedom = np.bincount(image.photo, np.trace(cofactor, axis1=1, axis2=2), minlength=k)
     squares = np.bincount(image.photo, np.sum(residual**2, axis=1), minlength=k)
@@ -165,7 +166,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
             "printer's scale?). The result rests on the distances."
         )
         yield Advice("warning", text)
-    number = distance_redundancy(c.problem, c.solution)
+    residual, number = distance_residuals(c.problem, c.solution)
     if len(number) == 1:
         d = c.device.distances[0]
         text = (
@@ -176,9 +177,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
         return
     freedom = float(np.sum(number))
     if freedom > 0.5:
-        sigma = np.array([d.sigma for d in c.device.distances])
-        at = 2 * len(c.problem.image)
-        ratio = float(np.sum(c.solution.residual[at : at + len(sigma)] ** 2)) / freedom
+        ratio = float(np.sum(residual**2)) / freedom
         if ratio > gate(1.0 - FALSE_ALARM, freedom) / freedom:
             text = (
                 f"The distances contradict each other {np.sqrt(ratio):.1f} times as much as their sigma allows: "

@@ -23,7 +23,7 @@ from spheremouse.geometry.camera import (
     project_rings,
     with_interior,
 )
-from spheremouse.geometry.least_squares.adjust import Jacobian, adjust, cofactors
+from spheremouse.geometry.least_squares.adjust import Jacobian, adjust, cofactors, redundancy
 from spheremouse.geometry.rotation import Array, exp, hat
 
 INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
@@ -141,6 +141,30 @@ def solve_block(problem: Problem, block: Block, knee: float = np.inf) -> Solutio
     covariance = np.zeros((columns.all, columns.all))
     covariance[np.ix_(columns.free, columns.free)] = cofactors(jacobian)
     return Solution(block, columns, covariance, residual, jacobian)
+
+
+def distance_residuals(problem: Problem, solution: Solution) -> tuple[Array, Array]:
+    """Return the normalised residuals of the tape distances, (k,), and their redundancy numbers, (k,).
+
+    A redundancy number goes from 0, unchecked, to 1, wholly checked.
+    """
+    first = 2 * len(problem.image)
+    rows = slice(first, first + len(problem.device.distances))
+    residual, cofactor = checked_residuals(solution, rows, 1)
+    return residual[:, 0], cofactor[:, 0, 0]
+
+
+def checked_residuals(solution: Solution, rows: slice, size: int) -> tuple[Array, Array]:
+    """Return normalised residuals of n observations of a `size`, (n, size), and their cofactors, (n, size, size)."""
+    free = solution.columns.free
+    Q, J = solution.covariance[np.ix_(free, free)], sparse.csr_array(solution.jacobian[rows])
+    return solution.residual[rows].reshape(-1, size), redundancy(J, Q, size)
+
+
+def image_rms(problem: Problem, solution: Solution) -> float:
+    """Return the RMS per axis of the image points, px."""
+    residual = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
+    return float(np.sqrt(np.mean(residual**2)))
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:

@@ -25,7 +25,7 @@ from spheremouse.calibrate.device.adjust import (
     check_distances,
     shift_to_ball,
 )
-from spheremouse.calibrate.device.bundle import Block, Problem, solve_block
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, solve_block
 from spheremouse.calibrate.device.correspond import (
     Spots,
     ball_rig,
@@ -154,7 +154,7 @@ def _numbered_points(spots: Spots, covariance: Array, block: Block, K: Array, R:
     index, directions, number = index[number >= 0], directions[number >= 0], number[number >= 0]
     middle = np.stack([np.bincount(number, directions[:, j]) for j in range(3)], axis=1)
     middle *= R / np.linalg.norm(middle, axis=1, keepdims=True)
-    return DiscViews(spots.photo[index], number, spots.centre[index], covariance[index], K + middle)
+    return DiscViews(ImagePoints(spots.photo[index], number, spots.centre[index], covariance[index]), K + middle)
 
 
 def _ray_tolerance(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> float:

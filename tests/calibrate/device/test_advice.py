@@ -22,7 +22,7 @@ def calibrated(stations, pairs=EDGES, tape=0.001, seed=0, worse=None, bulge=0.0)
     rng = np.random.default_rng(seed)
     s = simulated_calibration(rng, not pairs, interior=False, stations=stations, pairs=pairs, tape=tape, bulge=bulge)
     if worse is not None:
-        for points in (s.views.image, s.discs):
+        for points in (s.views.image, s.discs.image):
             mine = points.photo == worse[0]
             points.centre[mine] += 0.05 * np.sqrt(worse[1] ** 2 - 1.0) * rng.standard_normal((mine.sum(), 2))
     return observations.calibrated(s)

@@ -190,13 +190,14 @@ def test_covariances_are_true_over_many_calibrations(scale_free):
 def test_a_photo_before_which_the_ball_turned_does_not_count(degrees):
     """Its targets count. By chance some of its discs are near others."""
     simulated = simulated_calibration(np.random.default_rng(4))
-    s, turned = simulated.discs, 2
+    discs, turned = simulated.discs, 2
+    s = discs.image
     pose = simulated.poses[turned]
     centre = s.centre.copy()
     for k in np.flatnonzero(s.photo == turned):
-        place = s.position[s.disc[k]] + simulated.targets[1]
+        place = discs.position[s.point[k]] + simulated.targets[1]
         centre[k] = project(pose.to_cam(exp(np.radians([0.0, degrees, 0.0])) @ place)[None], simulated.camera)[0][0]
-    found = calibrated(replace(simulated, discs=replace(s, centre=centre)))
+    found = calibrated(replace(simulated, discs=replace(discs, image=replace(s, centre=centre))))
     measured = found.measured
     is_disc = measured.point >= len(simulated.targets)
     assert not np.any(measured.used & is_disc & (measured.photo == turned))
@@ -210,20 +211,20 @@ def test_two_photos_from_one_place_fix_no_depth(seed):
     simulated = simulated_calibration(rng)
     views, discs, start, again = simulated.views, simulated.discs, simulated.start, len(simulated.poses)
 
-    def repeated(points, rows, *names):
+    def repeated(points, keep):
         """These image points, and those of the last photo once more, as a further photo sees them with other noise."""
+        rows = np.flatnonzero(keep)
         mine = rows[points.photo[rows] == again - 1]
-        part = {name: getattr(points, name)[np.append(rows, mine)] for name in names}
-        part["photo"][len(rows) :] = again
-        part["centre"][len(rows) :] += 0.05 * rng.standard_normal((len(mine), 2))
-        return replace(points, **part)
+        both = points.take(np.append(rows, mine))
+        both.photo[len(rows) :] = again
+        both.centre[len(rows) :] += 0.05 * rng.standard_normal((len(mine), 2))
+        return both
 
-    image = repeated(views.image, np.arange(len(views.image)), "photo", "point", "centre", "covariance")
-    depth = np.concatenate([views.depth, views.depth[views.image.photo == again - 1]])
-    views = replace(views, photos=(*views.photos, again), image=image, depth=depth)
-    only_there = discs.disc[discs.photo == again - 1][:6]
-    kept = np.flatnonzero((discs.photo == again - 1) | ~np.isin(discs.disc, only_there))
-    discs = repeated(discs, kept, "photo", "disc", "centre", "covariance")
+    image, seen = views.image, discs.image
+    depth = np.concatenate([views.depth, views.depth[image.photo == again - 1]])
+    views = replace(views, photos=(*views.photos, again), image=repeated(image, image.photo >= 0), depth=depth)
+    only_there = seen.point[seen.photo == again - 1][:6]
+    discs = replace(discs, image=repeated(seen, (seen.photo == again - 1) | ~np.isin(seen.point, only_there)))
     simulated = replace(
         simulated,
         views=views,
