@@ -1,7 +1,6 @@
 """Sentences for people about the ball in its frame: events, missing discs, and targets."""
 
 from collections.abc import Iterable
-from typing import assert_never, cast
 
 import numpy as np
 
@@ -13,26 +12,8 @@ from spheremouse.ball.detector import Words
 from spheremouse.ball.events import BallLost, Doubt, Why
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
+from spheremouse.errors import format_count
 from spheremouse.tracker import Event
-
-_Ball = (
-    events.Found
-    | events.Turned
-    | events.AxisUnseen
-    | events.PatternRepeats
-    | events.Recognised
-    | BallLost
-    | events.MotionWithheld
-    | events.MotionReleased
-    | events.NewMap
-    | events.OutOfRound
-    | events.WrongSize
-    | events.ReadoutKnown
-    | events.DiscColours
-    | events.CameraMoved
-    | events.TargetsHidden
-)
-
 
 _DOUBTS = {
     Doubt.NO_DISC: "no {part} in view",
@@ -117,8 +98,8 @@ def _state_prefix(event: Event) -> str:
 
 def sentence(event: Event, words: Words) -> str:
     """Return an event in the words of the detector that saw the ball."""
-    happened, parts = cast(_Ball, event), words.parts
-    match happened:
+    parts = words.parts
+    match event:
         case events.Found(discs):
             return f"{discs} {parts} in view"
         case events.Turned(masked):
@@ -131,7 +112,7 @@ def sentence(event: Event, words: Words) -> str:
         case events.Recognised(discs):
             return f"tracking again: attitude kept, recognised by {discs} {parts}"
         case BallLost():
-            return _why(happened, words)
+            return _why(event, words)
         case events.MotionWithheld(doubt):
             return f"motion withheld: {_doubt(doubt, words)}"
         case events.MotionReleased(seconds, angle):
@@ -139,10 +120,8 @@ def sentence(event: Event, words: Words) -> str:
         case events.NewMap(saved=True):
             return f"the saved map does not fit: another ball, or {words.altered}; the tracker begins a new map"
         case events.NewMap():
-            explanation = (
-                "a new map begins at the last known attitude; motion that the camera did not see is not counted"
-            )
-            return f"tracking again: {explanation}"
+            kept = "a new map begins at the last known attitude"
+            return f"tracking again: {kept}; motion that the camera did not see is not counted"
         case events.OutOfRound():
             cause = "its bearings are worn, it is out of round, the camera was moved, or the rig is wrong"
             return f"the {parts} do not fit a ball that turns about its centre: {cause}"
@@ -170,7 +149,7 @@ def sentence(event: Event, words: Words) -> str:
         case events.TargetsHidden():
             return "the targets are out of sight: if the camera was moved, initialise again"
         case _:
-            assert_never(happened)
+            raise AssertionError(event)
 
 
 def withheld(seconds: float, doubt: Doubt, words: Words) -> str:
@@ -191,9 +170,8 @@ def absent(seen: int, seconds: float, absence: Absence, words: Words) -> str:
 
 def why_absent(absence: Absence) -> tuple[str, str]:
     """Return the reason why no disc or pattern is found on the ball, and the remedy."""
-    spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
-    plain = f"{100.0 * absence.plain:.0f} %"
     problem, hint = _ABSENCES[absence.cause]
+    spots, plain = format_count(absence.spots, "spot"), f"{100.0 * absence.plain:.0f} %"
     return problem.format(a=absence, spots=spots, plain=plain), hint
 
 
@@ -219,8 +197,6 @@ def _why(lost: BallLost, words: Words) -> str:
             return f"the ball does not turn about its centre, off by {offset}: lifted, or out of round"
         case Why.CAMERA:
             return "the camera was moved, and its pose is not found: uncover the targets, or initialise again"
-        case _:
-            assert_never(lost.why)
 
 
 def describe_camera_pose(resection: Resection, rig: Rig) -> str:
@@ -241,7 +217,7 @@ def list_targets(seen: Iterable[str], known: Iterable[str] | None) -> str:
     """List the targets in a picture by their codes, beside those of the rig, if there is one."""
     seen, known = list(seen), None if known is None else list(known)
     if known is None:
-        return f"{len(seen)} target{'' if len(seen) == 1 else 's'}{': ' if seen else ''}{' '.join(seen)}"
+        return f"{format_count(len(seen), 'target')}{': ' if seen else ''}{' '.join(seen)}"
     present, others = [c for c in known if c in seen], sorted(set(seen) - set(known))
     text = f"{len(present)} of the rig's {len(known)} targets{': ' if present else ''}{' '.join(present)}"
     return f"{text}; not in the rig: {' '.join(others)}" if others else text
