@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from spheremouse.output.rate_limited_logger import strip_digits
 from spheremouse.session.captures import Captures
@@ -13,36 +12,32 @@ from spheremouse.session.worker import Worker
 from spheremouse.tracker import Status
 
 
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """Conditions of the state. A text is a reason, and empty without trouble."""
+def derive_state(
+    tracker: Status = Status.SEARCHING,
+    *,
+    starting: str = "",
+    camera: str = "",
+    paused: str = "",
+    targets: str = "",
+    ball: str = "",
+    output: str = "",
+) -> tuple[State, str]:
+    """Return state and reason. The texts are reasons, empty without trouble.
 
-    starting: str = ""
-    camera: str = ""
-    paused: str = ""
-    targets: str = ""
-    ball: str = ""
-    output: str = ""
-    tracker: Status = Status.SEARCHING
-
-
-def derive_state(conditions: Conditions) -> tuple[State, str]:
-    """Return state and reason. The first fault on the way from the camera to the pointer counts."""
+    The first fault on the way from the camera to the pointer counts.
+    """
+    lost = {Status.SEARCHING: "the ball is not found yet", Status.LOST: "the ball is not recognised"}.get(tracker, "")
     for state, reason in (
-        (State.STARTING, conditions.starting),
-        (State.NO_CAMERA, conditions.camera),
-        (State.PAUSED, conditions.paused),
-        (State.SEARCHING_TARGETS, conditions.targets),
+        (State.STARTING, starting),
+        (State.NO_CAMERA, camera),
+        (State.PAUSED, paused),
+        (State.SEARCHING_TARGETS, targets),
+        (State.LOST, lost and (ball or lost)),
+        (State.FAILED_OUTPUT, output),
     ):
         if reason:
             return state, reason
-    if conditions.tracker is Status.SEARCHING:
-        return State.LOST, conditions.ball or "the ball is not found yet"
-    if conditions.tracker is Status.LOST:
-        return State.LOST, conditions.ball or "the ball is not recognised"
-    if conditions.output:
-        return State.FAILED_OUTPUT, conditions.output
-    return State.TRACKING, conditions.ball or "the ball is followed"
+    return State.TRACKING, ball or "the ball is followed"
 
 
 def log_line(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
@@ -94,7 +89,7 @@ class StateMonitor:
         if self.state in _STATES_WITHOUT_BALL and self._seen_once:
             self.unseen += now - self._updated
         self._updated = now
-        before, (state, reason) = (self.state, self.reason), derive_state(self._conditions(now))
+        before, (state, reason) = (self.state, self.reason), self._derive_state(now)
         self._seen_once |= state is State.TRACKING
         if state is not before[0]:
             self.since = now
@@ -108,16 +103,16 @@ class StateMonitor:
             self._notify(f"{state}: {reason}; {self._arrivals.rate(now):.0f} frames/s")
         return state is State.NO_CAMERA and before[0] is not state
 
-    def _conditions(self, now: float) -> Conditions:
+    def _derive_state(self, now: float) -> tuple[State, str]:
         worker, captures, starting = self._worker, self._captures, self.starting
         if not starting and captures.attempts <= 1 and worker.seen == 0 and captures.opening:
             starting = captures.trouble
-        return Conditions(
+        return derive_state(
+            worker.adapter.status,
             starting=starting,
             camera=captures.trouble or worker.trouble or self._arrivals.trouble(now),
             paused=self.paused,
             targets=worker.adapter.waiting,
             ball=worker.adapter.reason,
             output=self._outputs.failed,
-            tracker=worker.adapter.status,
         )

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from spheremouse.session.state_monitor import Conditions, State, StateMonitor, derive_state, log_line
+from spheremouse.session.state_monitor import State, StateMonitor, derive_state, log_line
 from spheremouse.session.timing import Arrivals
 from spheremouse.session.tracker_adapter import LogMessages
 from spheremouse.tracker import Status
@@ -148,7 +148,7 @@ def conditions(line):
     parts = KEYS.split(line)[1:]
     found = {k: v.strip() for k, v in zip(parts[::2], parts[1::2], strict=True)}
     event = found.pop("event", "")
-    return Conditions(**{**found, "tracker": Status(found.get("tracker", "searching"))}), event
+    return {**found, "tracker": Status(found.get("tracker", "searching"))}, event
 
 
 @pytest.mark.parametrize("name", TRANSCRIPTS)
@@ -157,8 +157,8 @@ def test_a_transcript(name):
     made, before = [], (State.STARTING, "")
     for line in lines:
         given = line.partition("|")[0].rstrip()
-        f, event = conditions(given)
-        now = derive_state(f)
+        found, event = conditions(given)
+        now = derive_state(**found)
         made.append((given, log_line(before, now, event)))
         before = now
     expected = [tuple(part.strip() for part in line.split("|")) for line in lines]
@@ -168,7 +168,7 @@ def test_a_transcript(name):
 def test_nothing_but_tracking_says_that_the_ball_moves_the_pointer():
     """With any trouble at all, or a ball that is not tracked, the state is another one."""
     for trouble in ("starting", "camera", "paused", "targets", "output"):
-        assert derive_state(Conditions(**{trouble: "x"}, tracker=Status.TRACKING))[0] is not State.TRACKING
+        assert derive_state(Status.TRACKING, **{trouble: "x"})[0] is not State.TRACKING
     for status in (Status.SEARCHING, Status.LOST):
-        assert derive_state(Conditions(tracker=status))[0] is State.LOST
-    assert derive_state(Conditions(tracker=Status.TRACKING))[0] is State.TRACKING
+        assert derive_state(status)[0] is State.LOST
+    assert derive_state(Status.TRACKING)[0] is State.TRACKING
