@@ -70,7 +70,7 @@ def settings_in_use(overrides: CommandLineOverrides, plan: RunConfig) -> list[di
 
     `saved` is the value without the changes by `set`. `live` is true if `set` can change the value.
     """
-    saved = {dotted(key): value for key, value in config.parameters(plan.without_changes)}
+    saved = _by_key(plan.without_changes)
     fixed = (*AT_START, "map") if overrides.no_map else AT_START
     described = ((about, about["key"].partition(".")[0]) for about in config.describe(plan.configuration))
     unread = _UNREAD[plan.configuration.tracker]
@@ -102,11 +102,13 @@ def check_read(plan: RunConfig, assignments: tuple[str, ...]) -> None:
 
 def values(old_plan: RunConfig, new_plan: RunConfig, assignments: tuple[str, ...]) -> Values:
     """Return old and new value of each parameter that has changed or was assigned."""
-    a, b = (
-        {dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (old_plan, new_plan)
-    )
+    a, b = _by_key(old_plan.configuration), _by_key(new_plan.configuration)
     assigned = set(map(key_of, assignments))
     return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in assigned}
+
+
+def _by_key(configuration: Configuration) -> dict[str, Any]:
+    return {dotted(key): value for key, value in config.parameters(configuration)}
 
 
 def describe_changes(values: Values) -> str:

@@ -3,11 +3,11 @@
 import sys
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from spheremouse.errors import format_count
 from spheremouse.output import Counts
 from spheremouse.output.pointer import minus, plus
 from spheremouse.output.sample import Sample
@@ -46,17 +46,17 @@ class Tally:
         return minus(self._counts, self.unsent())
 
     def __str__(self) -> str:
-        left_out = ", ".join(f"{n} {why}" for why, n in self.left_out.items() if n)
-        left_out = f"frames left out: {left_out}" if left_out else ""
-        if not self.frames:
-            return "; ".join(filter(None, ("no frame tracked", left_out)))
-        x, y, z = self.counts
-        median, slow = (1e3 * self.times.quantile(q) for q in (0.5, 0.99))
-        frames = f"{self.frames} frame{'s' if self.frames != 1 else ''}"
-        text = f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
-        if any(unsent := self.unsent()):
-            text += "; not sent: x {:+d}, y {:+d}, third {:+d}".format(*unsent)
-        return "; ".join(filter(None, (text, self.words, left_out)))
+        axes, texts = "x {:+d}, y {:+d}, third {:+d}", ["no frame tracked"]
+        if self.frames:
+            median, slow = (1e3 * self.times.quantile(q) for q in (0.5, 0.99))
+            texts = [format_count(self.frames, "frame"), f"counts {axes.format(*self.counts)}"]
+            texts.append(f"{median:.1f} ms per frame (99 %: {slow:.1f} ms)")
+            if any(unsent := self.unsent()):
+                texts.append(f"not sent: {axes.format(*unsent)}")
+            texts += filter(None, [self.words])
+        if left_out := ", ".join(f"{n} {why}" for why, n in self.left_out.items() if n):
+            texts.append(f"frames left out: {left_out}")
+        return "; ".join(texts)
 
 
 class StatusLine:
@@ -73,11 +73,9 @@ class StatusLine:
             self._live.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         if self._live is not None:
-            self._live.__exit__(kind, error, trace)
+            self._live.__exit__(*error)
 
     def log(self, text: str) -> None:
         """Print one or more lines, which stay."""

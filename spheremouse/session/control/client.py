@@ -45,7 +45,7 @@ class Client:
 
     def __init__(self, path: Path | None = None) -> None:
         self._given = path
-        self._path = path or socket_file.find_socket()
+        self.path = path or socket_file.find_socket()  # of the socket
         self._socket: socket.socket | None = None
         self._received = bytearray()
         self._memory: int | None = None  # descriptor that came with the last message
@@ -57,11 +57,6 @@ class Client:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def path(self) -> Path:
-        """The socket's path."""
-        return self._path
 
     @property
     def has_received(self) -> bool:
@@ -130,7 +125,7 @@ class Client:
             self._pictures = PictureReader(memory)
         if self._pictures is None:
             self.close()
-            raise NoDaemonError(f"{self._path}: the daemon gives no memory with pictures", "restart it")
+            raise NoDaemonError(f"{self.path}: the daemon gives no memory with pictures", "restart it")
         return self._pictures
 
     def samples(self) -> "Iterator[Sample]":
@@ -142,7 +137,7 @@ class Client:
                 yield from_object(read)
             except ValueError as e:
                 self.close()
-                raise NoDaemonError(f"{self._path}: {printable(str(e))}", _RESTART) from None
+                raise NoDaemonError(f"{self.path}: {printable(str(e))}", _RESTART) from None
 
     def _parse_status(self, reply: dict[str, Any]) -> StatusReport:
         """Return the report of a reply. Raises NoDaemonError, and closes the connection, if it has another form."""
@@ -150,7 +145,7 @@ class Client:
             return StatusReport.read(reply)
         except ControlError as e:
             self.close()
-            problem = f"{self._path}: the answer is not a status of spheremouse ({printable(str(e))})"
+            problem = f"{self.path}: the answer is not a status of spheremouse ({printable(str(e))})"
             raise NoDaemonError(problem, _RESTART) from None
 
     def _exchange(self, message: dict[str, Any], timeout: float) -> dict[str, Any]:
@@ -164,7 +159,7 @@ class Client:
                 connection.sendall(line)
         except OSError as e:
             self.close()
-            raise NoDaemonError(f"{self._path}: the daemon does not listen ({e})") from None
+            raise NoDaemonError(f"{self.path}: the daemon does not listen ({e})") from None
         return self._receive(timeout)
 
     def _receive(self, timeout: float) -> dict[str, Any]:
@@ -189,13 +184,13 @@ class Client:
                 raise ValueError
         except TimeoutError:
             self.close()
-            raise NoDaemonError(f"{self._path}: no answer within {timeout:g} s; does it hang?") from None
+            raise NoDaemonError(f"{self.path}: no answer within {timeout:g} s; does it hang?") from None
         except OSError:
             self.close()
-            raise NoDaemonError(f"{self._path}: the daemon has ended or disconnected", _START) from None
+            raise NoDaemonError(f"{self.path}: the daemon has ended or disconnected", _START) from None
         except ValueError:
             self.close()
-            raise NoDaemonError(f"{self._path}: the program that answers is no daemon of spheremouse") from None
+            raise NoDaemonError(f"{self.path}: the program that answers is no daemon of spheremouse") from None
         return message
 
     def _forget_memory(self) -> None:
@@ -208,33 +203,31 @@ class Client:
             return self._socket
         if not hasattr(socket, "AF_UNIX"):
             raise NoDaemonError("this system has no Unix sockets, so the daemon cannot be controlled here")
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            connection.settimeout(_CONNECT_TIMEOUT)
-            connection.connect(str(self._path))
-        except PermissionError:
-            connection.close()
-            raise RefusedError(f"{self._path}: permission denied", self._permission_hint()) from None
-        except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError):
-            connection.close()
-            raise NoDaemonError(f"no daemon runs ({self._where()})", _START) from None
-        except OSError as e:
-            connection.close()
-            raise NoDaemonError(f"{self._path}: no daemon can be reached there ({e})") from None
+        with contextlib.ExitStack() as stack:
+            connection = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            try:
+                connection.settimeout(_CONNECT_TIMEOUT)
+                connection.connect(str(self.path))
+            except PermissionError:
+                raise RefusedError(f"{self.path}: permission denied", self._permission_hint()) from None
+            except (FileNotFoundError, NotADirectoryError, ConnectionRefusedError):
+                raise NoDaemonError(f"no daemon runs (no daemon listens at {self._where()})", _START) from None
+            except OSError as e:
+                raise NoDaemonError(f"{self.path}: no daemon can be reached there ({e})") from None
+            stack.pop_all()
         self._socket = connection
         return connection
 
     def _where(self) -> str:
-        if self._given is not None or os.environ.get("SPHEREMOUSE_SOCKET"):
-            return f"no daemon listens at {self._path}"
-        return f"no daemon listens at {' or '.join(str(p) for p in socket_file.candidates())}"
+        given = self._given is not None or os.environ.get("SPHEREMOUSE_SOCKET")
+        return " or ".join(map(str, [self.path] if given else socket_file.candidates()))
 
     def _permission_hint(self) -> str:
         """Return the remedy for a user who has no access to the socket."""
         import grp  # not on Windows, which gets no further than `_connect`
 
         try:
-            status = self._path.stat()
+            status = self.path.stat()
             if status.st_mode & 0o060 == 0o060:
                 return f"join the group {grp.getgrgid(status.st_gid).gr_name} and log in again, or use sudo"
         except (OSError, KeyError):

@@ -112,15 +112,8 @@ class Pen:
 
     def _stroke(self, points: Array, colour: Colour, width: int, *, closed: bool = False) -> None:
         """Draw a line, (n, 2) px."""
-        cv2.polylines(
-            self._canvas,
-            [self._to_fixed_point(points)],
-            isClosed=closed,
-            color=colour,
-            thickness=width,
-            lineType=cv2.LINE_AA,
-            shift=_FRACTIONAL_BITS,
-        )
+        lines = [self._to_fixed_point(points)]
+        cv2.polylines(self._canvas, lines, closed, colour, width, cv2.LINE_AA, _FRACTIONAL_BITS)
 
     def _to_fixed_point(self, points: Array) -> NDArray[np.int32]:
         """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""
