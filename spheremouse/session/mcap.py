@@ -7,7 +7,6 @@ All but the samples are of Foxglove's well-known schemas. Stamps are those of th
 import importlib
 import json
 from collections.abc import Callable
-from functools import cache
 from io import BufferedWriter
 from typing import Any
 
@@ -108,18 +107,10 @@ class McapWriter:
         if found == self._camera or found["position"] is None:
             return
         self._camera, K = found, camera.matrix
-        self._write(
-            "CameraCalibration",
-            "/camera/calibration",
-            frame_id="cam",
-            width=camera.width,
-            height=camera.height,
-            distortion_model="plumb_bob",
-            D=camera.distortion.tolist(),
-            K=K.ravel().tolist(),
-            R=np.eye(3).ravel().tolist(),
-            P=np.column_stack([K, np.zeros(3)]).ravel().tolist(),
-        )
+        matrices = {"K": K, "R": np.eye(3), "P": np.column_stack([K, np.zeros(3)]), "D": camera.distortion}
+        interior = {name: matrix.ravel().tolist() for name, matrix in matrices.items()}
+        interior |= {"width": camera.width, "height": camera.height, "distortion_model": "plumb_bob"}
+        self._write("CameraCalibration", "/camera/calibration", frame_id="cam", **interior)
         if in_obj:
             rotation = np.reshape(found["rotation"], (3, 3)).T
             self._write_transform("/camera/transform", ("obj", "cam"), np.array(found["position"]), rotation)
@@ -130,15 +121,12 @@ class McapWriter:
             ends = sample.coordinates, sample.name
             self._write_transform(f"{topic}/transform", ends, sample.position, sample.rotation)
         message = known_values(to_object(sample, counts))
-        if f"{topic}/sample" not in self._channels:
-            schema = sdk().Schema(
-                name="spheremouse.Sample",
-                encoding="jsonschema",
-                data=json.dumps(channel_schema(message["statistics"])).encode(),
-            )
-            channel = sdk().Channel(f"{topic}/sample", schema=schema, message_encoding="json", context=self._context)
-            self._channels[f"{topic}/sample"] = channel
-        self._channels[f"{topic}/sample"].log(json.dumps(message).encode(), log_time=self._time)
+        topic = f"{topic}/sample"
+        if topic not in self._channels:
+            data = json.dumps(channel_schema(message["statistics"])).encode()
+            schema = sdk().Schema(name="spheremouse.Sample", encoding="jsonschema", data=data)
+            self._channels[topic] = sdk().Channel(topic, schema=schema, message_encoding="json", context=self._context)
+        self._channels[topic].log(json.dumps(message).encode(), log_time=self._time)
 
     def _write_scene(self, scene: dict[str, Any], sample: Sample) -> None:
         """Write the ball that points with its discs, and the targets, if there are other discs or at the period."""
@@ -149,44 +137,23 @@ class McapWriter:
                 return
         self._scene = self._time, len(discs)
         m, radius = _messages(), scene["radius"]
-        ball = m.SceneEntity(
-            timestamp=self._stamp(),
-            frame_id=sample.name,
-            id="ball",
-            frame_locked=True,
-            spheres=[
-                m.SpherePrimitive(
-                    pose=_pose(np.zeros(3), np.eye(3)),
-                    size=m.Vector3(x=2 * radius, y=2 * radius, z=2 * radius),
-                    color=_colour("ball"),
-                )
-            ],
-            cylinders=[_disc(direction, radius, scene["disc_radius"]) for direction in discs],
-        )
+        entity = {"timestamp": self._stamp(), "frame_locked": True}
+        size, words = _vector(np.full(3, 2 * radius)), {"billboard": True, "font_size": 12.0, "scale_invariant": True}
+        sphere = m.SpherePrimitive(pose=_pose(np.zeros(3)), size=size, color=_colour("ball"))
+        cylinders = [_disc(direction, radius, scene["disc_radius"]) for direction in discs]
+        entities = [m.SceneEntity(id="ball", frame_id=sample.name, spheres=[sphere], cylinders=cylinders, **entity)]
         labels = [
-            m.TextPrimitive(
-                pose=_pose(np.array(target["position"]), np.eye(3)),
-                billboard=True,
-                font_size=12.0,
-                scale_invariant=True,
-                color=_colour("targets"),
-                text=target["code"],
-            )
-            for target in scene["targets"]
+            m.TextPrimitive(pose=_pose(np.array(t["position"])), text=t["code"], color=_colour("targets"), **words)
+            for t in scene["targets"]
         ]
-        targets = m.SceneEntity(
-            timestamp=self._stamp(), frame_id=sample.coordinates, id="targets", frame_locked=True, texts=labels
-        )
-        update = m.SceneUpdate(entities=[ball, targets] if labels else [ball])
-        self._channel("SceneUpdate", "/scene").log(update, log_time=self._time)
+        if labels:
+            entities.append(m.SceneEntity(id="targets", frame_id=sample.coordinates, texts=labels, **entity))
+        self._channel("SceneUpdate", "/scene").log(m.SceneUpdate(entities=entities), log_time=self._time)
 
     def _write_transform(self, topic: str, ends: tuple[str, str], position: Array, rotation: Array) -> None:
         """Write the pose of the axes `ends[1]` in the axes `ends[0]`."""
-        parent, child = ends
-        at, turn = _vector(position), _quaternion(rotation)
-        self._write(
-            "FrameTransform", topic, parent_frame_id=parent, child_frame_id=child, translation=at, rotation=turn
-        )
+        names = dict(zip(("parent_frame_id", "child_frame_id"), ends, strict=True))
+        self._write("FrameTransform", topic, translation=_vector(position), rotation=_quaternion(rotation), **names)
 
     # ---- channels ----
 
@@ -255,7 +222,7 @@ def channel_schema(statistics: dict[str, Any]) -> dict[str, Any]:
 
     `statistics` has the names of a frame's figures. Matrices are in the messages; only their description is missing.
     """
-    schema = _sample_schema()
+    schema = json.loads(shipped("docs/sample.schema.json"))
     fields = {name: _simplify_field(field, schema["$defs"]) for name, field in schema["properties"].items()}
     fields["statistics"]["properties"] = {name: {"type": "number"} for name in statistics}
     described = {name: field for name, field in fields.items() if field.get("items", {}).get("type") != "array"}
@@ -279,11 +246,6 @@ def _simplify_field(field: dict[str, Any], definitions: dict[str, Any]) -> dict[
     return simple | ({"description": field["description"]} if "description" in field else {})
 
 
-@cache
-def _sample_schema() -> dict[str, Any]:
-    return json.loads(shipped("docs/sample.schema.json"))
-
-
 # ---- annotations ----
 
 
@@ -291,17 +253,13 @@ def image_annotations(marks: dict[str, Any], stamp: Any) -> Any:
     """Return ImageAnnotations of the marks of `TrackerAdapter.annotations`."""
     lines = [_closed_line(np.reshape(points, (-1, 2)), "others", stamp) for points in marks.get("others", [])]
     lines.append(_closed_line(np.reshape(marks["outline"], (-1, 2)), "outline", stamp))
-    for disc in marks["detected"]:
-        lines.append(_ellipse(disc, disc["shape"], "used" if disc["used"] else "unused", stamp))
-    for disc in marks["predicted"]:
-        lines.append(_ellipse(disc, disc["shape"], "predicted", stamp))
-        lines.append(_ellipse(disc, disc["gate"], "gate", stamp))
-    for target in marks["targets"]:
-        lines.append(_ellipse(target, target["shape"], "targets", stamp))
-    for other in marks["strangers"]:
-        area = other["radius"] ** 2
-        lines.append(_ellipse(other, [area, 0.0, area], "strangers", stamp))
-    lines += [_ellipse({"x": x, "y": y}, [9.0, 0.0, 9.0], "masked", stamp) for x, y in marks["masked"]]
+    ellipses = [(disc, disc["shape"], "used" if disc["used"] else "unused") for disc in marks["detected"]]
+    ellipses += [(disc, disc["shape"], "predicted") for disc in marks["predicted"]]
+    ellipses += [(disc, disc["gate"], "gate") for disc in marks["predicted"]]
+    ellipses += [(target, target["shape"], "targets") for target in marks["targets"]]
+    ellipses += [(other, [r := other["radius"] ** 2, 0.0, r], "strangers") for other in marks["strangers"]]
+    ellipses += [({"x": x, "y": y}, [9.0, 0.0, 9.0], "masked") for x, y in marks["masked"]]
+    lines += [_ellipse(*ellipse, stamp) for ellipse in ellipses]
     texts = [_label(mark, kind, stamp) for kind in ("targets", "strangers") for mark in marks[kind]]
     return _messages().ImageAnnotations(points=lines, texts=texts)
 
@@ -316,30 +274,23 @@ def _ellipse(at: dict[str, Any], shape: list[float], colour: str, stamp: Any) ->
 
 def _closed_line(points: Array, colour: str, stamp: Any) -> Any:
     """Return a PointsAnnotation of the polygon through points (n, 2) px, with a colour of `_COLOURS`."""
-    m = _messages()
-    corners = [m.Point2(x=x, y=y) for x, y in (points + _HALF_PIXEL).tolist()]
-    return m.PointsAnnotation(
-        timestamp=stamp,
-        type=m.PointsAnnotationType.LineLoop,
-        points=corners,
-        outline_color=_colour(colour),
-        thickness=1.0,
-    )
+    m, shade = _messages(), _colour(colour)
+    corners, kind = [_point(x, y) for x, y in points.tolist()], m.PointsAnnotationType.LineLoop
+    return m.PointsAnnotation(timestamp=stamp, type=kind, points=corners, outline_color=shade, thickness=1.0)
 
 
 def _label(mark: dict[str, Any], colour: str, stamp: Any) -> Any:
     m = _messages()
-    return m.TextAnnotation(
-        timestamp=stamp,
-        position=m.Point2(x=mark["x"] + _HALF_PIXEL, y=mark["y"] + _HALF_PIXEL),
-        text=mark["code"],
-        font_size=12.0,
-        text_color=_colour(colour),
-        background_color=m.Color(a=0.5),
-    )
+    look = {"font_size": 12.0, "text_color": _colour(colour), "background_color": m.Color(a=0.5)}
+    return m.TextAnnotation(timestamp=stamp, position=_point(mark["x"], mark["y"]), text=mark["code"], **look)
 
 
 # ---- geometry ----
+
+
+def _point(x: float, y: float) -> Any:
+    """Return a place in Foxglove's pixels."""
+    return _messages().Point2(x=x + _HALF_PIXEL, y=y + _HALF_PIXEL)
 
 
 def _disc(direction: Array, radius: float, disc_radius: float) -> Any:
@@ -348,21 +299,16 @@ def _disc(direction: Array, radius: float, disc_radius: float) -> Any:
     `direction` is the unit vector to the disc's middle. `disc_radius` is along the surface.
     """
     m = _messages()
-    rim_radius, inner = radius * np.sin(disc_radius / radius), radius * np.cos(disc_radius / radius)
+    across, inner = 2.0 * radius * np.sin(disc_radius / radius), radius * np.cos(disc_radius / radius)
     height = (1.0 + _DISC_GAP_RADII) * radius - inner
     x = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     x /= np.linalg.norm(x)
     rotation = np.array([x, np.cross(direction, x), direction], dtype=float).T
-    return m.CylinderPrimitive(
-        pose=_pose((inner + 0.5 * height) * direction, rotation),
-        size=m.Vector3(x=2.0 * rim_radius, y=2.0 * rim_radius, z=height),
-        bottom_scale=1.0,
-        top_scale=1.0,
-        color=_colour("disc"),
-    )
+    pose, size = _pose((inner + 0.5 * height) * direction, rotation), m.Vector3(x=across, y=across, z=height)
+    return m.CylinderPrimitive(pose=pose, size=size, bottom_scale=1.0, top_scale=1.0, color=_colour("disc"))
 
 
-def _pose(position: Array, rotation: Array) -> Any:
+def _pose(position: Array, rotation: Array = np.eye(3)) -> Any:  # noqa: B008  it is only read
     return _messages().Pose(position=_vector(position), orientation=_quaternion(rotation))
 
 
