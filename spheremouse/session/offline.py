@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from heapq import merge
@@ -51,11 +50,7 @@ class Start:
 
 
 def initialise(
-    frames: Iterator[Frame],
-    rig: Rig,
-    settings: Settings,
-    *,
-    report: Callable[[str], None] = lambda _: None,
+    frames: Iterator[Frame], rig: Rig, settings: Settings, *, report: Callable[[str], None] = lambda _: None
 ) -> Start:
     """Find the camera's pose in the first views that show enough targets.
 
@@ -66,19 +61,17 @@ def initialise(
         return Start(rig.pose, resection=None, frames=frames)
     if len(rig.targets.codes) < 3:
         raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
-    last_text: str | None = None
-    passed = 0
+    last_text, passed = "", 0
     while True:
-        views, searches = list[Frame](), list[Future[TargetDetections]]()
-        with ThreadPoolExecutor(1) as searcher:  # searches a view while the next one is read
-            for view in islice(frames, settings.pose.frames):
-                check_size(view, rig.camera)
-                views.append(view)
-                searches.append(searcher.submit(detect_targets, _colour(view), rig.targets.radii, settings.rings))
+        views, found = list[Frame](), list[TargetDetections]()
+        for view in islice(frames, settings.pose.frames):
+            check_size(view, rig.camera)
+            views.append(view)
+            found.append(detect_targets(_colour(view), rig.targets.radii, settings.rings))
         if not views:
             raise PoseError(last_text or "the source gave no frame")
         try:
-            resection = find_pose([search.result() for search in searches], rig, views[0].image)
+            resection = find_pose(found, rig, views[0].image)
         except PoseError as e:
             if str(e) != last_text:
                 last_text = str(e)
@@ -135,10 +128,8 @@ def smooth_samples(samples: Iterable[Sample], settings: So3Settings) -> list[Sam
     samples, observations = list(samples), []
     for sample in samples:
         if sample.observation is None:
-            raise ConfigurationError(
-                f"smooth: the sample of frame {sample.sequence} has no observation",
-                "give samples as `track` yields them, by tracker so3, and not of a ball in a hand",
-            )
+            hint = "give samples as `track` yields them, by tracker so3, and not of a ball in a hand"
+            raise ConfigurationError(f"smooth: the sample of frame {sample.sequence} has no observation", hint)
         observations.append(sample.observation)
     estimates = smooth(observations, settings)
     return [replace(s, estimate=e, observation=None) for s, e in zip(samples, estimates, strict=True)]
@@ -240,7 +231,5 @@ def check_wand_frame(frame: Frame, tracker: "WandTracker") -> None:
     """Raise SourceError if a frame has another size than the camera's, or lacks the colour that the balls need."""
     check_size(frame, tracker.camera)
     if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):
-        raise SourceError(
-            f"the frames are grey, and the ball has {' and '.join(paints)} discs: use a camera in colour, or a ball "
-            "in dark and light"
-        )
+        problem = f"the frames are grey, and the ball has {' and '.join(paints)} discs"
+        raise SourceError(f"{problem}: use a camera in colour, or a ball in dark and light")

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import islice
 from typing import Any
 
@@ -16,17 +15,8 @@ import numpy as np
 
 from spheremouse.ball.build import build, detector_of
 from spheremouse.errors import ConfigurationError, PoseError
+from spheremouse.evaluation import tuning
 from spheremouse.evaluation.run import History, Run
-from spheremouse.evaluation.tuning import (
-    LIMIT,
-    Comparison,
-    compare,
-    error_terms,
-    innovation_terms,
-    losses,
-    scales,
-    usual_discs,
-)
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording
 from spheremouse.geometry import Array
@@ -53,7 +43,7 @@ class Tuning:
 
     values: Values  # settings that differ from the present ones; empty if nothing better was found
     gains: dict[str, float]  # part of the loss in the searched half that each of them saves
-    held_out: Comparison
+    held_out: tuning.Comparison
     trials: int
 
     @property
@@ -73,46 +63,37 @@ class Objective:
         self._recording, self._present, self._span, self._rig = recording, present, (first, end), recording.rig
         self._usual, self._scale = 1.0, np.ones(3)
         self.run_s = 0.0  # s, of the slowest run so far
-        self._complete: dict[tuple[Any, ...], Run | None] = {}  # runs to the last frame, by `_key` of the settings
-        run = self._complete_run({})
+        run = own = self._run({})
         if run is None or not len(run.tracked):
-            run = self._complete_run(_defaults(present))
+            run = self._run(_defaults(present))
         if run is None:
             self._scale = np.full(2 if recording.truth is not None else 3, np.inf)
-            return
-        self._usual = usual_discs(run)
-        self._scale = scales(self._terms(run))
-        if recording.truth is None:
-            self._scale[:2][np.isfinite(self._scale[:2])] = 1.0  # these terms have a scale of their own
+        else:
+            self._usual = tuning.usual_discs(run)
+            self._scale = tuning.scales(self._terms(run))
+            if recording.truth is None:
+                self._scale[:2][np.isfinite(self._scale[:2])] = 1.0  # these terms have a scale of their own
+        self.present = self._losses(own)  # losses of the present settings, (n,)
 
     @property
     def seconds(self) -> float:
         """Duration of the frames, s. A setting in s has no effect above it."""
         return (self._span[1] - self._span[0]) / self._recording.fps
 
-    @cached_property
-    def present(self) -> Array:
-        """Losses of the present settings, (n,)."""
-        return self.losses({})
-
     def losses(self, values: Values, most: float = math.inf) -> Array:
         """Return the loss of each frame, (n,), with some settings changed; LIMIT for all if its mean exceeds `most`."""
         first, end = self._span
-        known = _key(values) in self._complete
-        run = self._complete_run(values) if known else self._run(values, most * (end - first) / LIMIT)
+        return self._losses(self._run(values, most * (end - first) / tuning.LIMIT))
+
+    def _losses(self, run: Run | None) -> Array:
+        first, end = self._span
         if run is None:
-            return np.full(end - first, LIMIT)
-        return losses(self._terms(run), self._scale, missing=end - first - len(run.frame))
+            return np.full(end - first, tuning.LIMIT)
+        return tuning.losses(self._terms(run), self._scale, missing=end - first - len(run.frame))
 
     def _terms(self, run: Run) -> Array:
         truth = self._recording.truth
-        return innovation_terms(run, self._usual) if truth is None else error_terms(run, truth)
-
-    def _complete_run(self, values: Values) -> Run | None:
-        """Return the run to the last frame. The same settings are tracked once."""
-        if _key(values) not in self._complete:
-            self._complete[_key(values)] = self._run(values)
-        return self._complete[_key(values)]
+        return tuning.innovation_terms(run, self._usual) if truth is None else tuning.error_terms(run, truth)
 
     def _run(self, values: Values, most_untracked: float = math.inf) -> Run | None:
         """Return the run; None if the camera's pose is not found, or if more frames are not tracked."""
@@ -131,10 +112,6 @@ class Objective:
         finally:
             self.run_s = max(self.run_s, time.monotonic() - begun)
         return history.run() if history.epochs else None
-
-
-def _key(values: Values) -> tuple[Any, ...]:
-    return tuple(sorted(values.items()))
 
 
 def changed(settings: Configuration, values: Values) -> Configuration:
@@ -208,7 +185,7 @@ def tune(
     best, gains = _prune(objective, best, least, fits)
     held_out = Objective(recording, settings, middle, recording.frames)
     other = held_out.losses(best) if best else held_out.present
-    return Tuning(best, gains, compare(held_out.present, other, recording.fps), count)
+    return Tuning(best, gains, tuning.compare(held_out.present, other, recording.fps), count)
 
 
 def _search(

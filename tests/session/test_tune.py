@@ -120,19 +120,6 @@ def test_a_budget_in_which_no_trial_can_be_tested_is_refused(monkeypatch):
         tune(LONG, Configuration(), 30.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("settings", "runs"), [({"discs.polarity": "light"}, 2), ({}, 1)])
-def test_present_settings_and_defaults_are_tracked_once(film, monkeypatch, settings, runs):
-    """Also if the former track nothing, so that the defaults give the scales."""
-    counted = []
-    monkeypatch.setattr("spheremouse.session.tune.track", lambda *_: counted.append(1) or iter(()))
-    objective = Objective(open_dataset(film), changed(Configuration(), settings), 0, 60)
-    for values in ({}, dict.fromkeys(settings, "auto")):
-        objective.losses(values)
-    assert objective.present.mean() > 0.0
-    assert len(counted) == runs
-
-
 def test_filter_discs_and_loss_are_searched_within_their_bounds():
     settings = Configuration()
     for setting in tunable(settings):
