@@ -52,13 +52,11 @@ def numbered_frames(recording: Recording, first: int = 0) -> Iterator[Frame]:
 
 def join(one: Recording, other: Recording) -> Recording:
     """Return the recording of two cameras: the truth of both, in the axes of the first, and no truth of pictures."""
-    if one.truth is None or other.truth is None:
-        return replace(one, truth=None, discs=None, name=f"{one.name} and {other.name}")
-    second = _rotate_truth(other.truth, other.turn)
-    stamp, attitude, rate = (
-        np.concatenate([getattr(one.truth, name), getattr(second, name)]) for name in ("stamp", "attitude", "rate")
-    )
-    return replace(one, truth=Truth(stamp, attitude, rate), discs=None, name=f"{one.name} and {other.name}")
+    truth = None
+    if one.truth is not None and other.truth is not None:
+        both = one.truth, _rotate_truth(other.truth, other.turn)
+        truth = Truth(*(np.concatenate([getattr(t, name) for t in both]) for name in ("stamp", "attitude", "rate")))
+    return replace(one, truth=truth, discs=None, name=f"{one.name} and {other.name}")
 
 
 def rig_of(recording: Recording, given: Rig | None) -> Rig:
@@ -96,21 +94,13 @@ def run_ball(
 def ball_reports(run: BallRun, recording: Recording, smooth: bool = False) -> list[dict[str, Any]]:
     """Return the report of the filter, and with `smooth` that of the smoother, whose dataset ends in `, smoothed`."""
     discs = recording.discs if run.tracker.detector.sees_discs else None
-    truth = _in_axes_of(run.tracker.rig, recording)
-    reference = Reference(truth, discs, recording.pose, recording.truth_directions)
+    reference = Reference(_in_axes_of(run.tracker.rig, recording), discs, recording.pose, recording.truth_directions)
     histories = {"": run.history}
     if smooth:
         histories[", smoothed"] = run.history.smoothed(run.tracker)
+    rig, same = run.tracker.rig, {"tracker": run.tracker.settings.tracker, "frames": run.frames, "found": run.found}
     return [
-        report(
-            history.run(),
-            reference,
-            run.tracker.rig,
-            dataset=f"{recording.name}{suffix}",
-            tracker=run.tracker.settings.tracker,
-            frames=run.frames,
-            found=run.found,
-        )
+        report(history.run(), reference, rig, dataset=f"{recording.name}{suffix}", **same)
         for suffix, history in histories.items()
     ]
 
@@ -152,17 +142,10 @@ def wand_reports(
     truths = [assign_truths(each, balls, recording.truths, recording.balls) for each in runs]
     reports = []
     for k, ball in enumerate(balls):
-        runs_of_ball = [run[k] for run in runs]
-        truths_of_ball = [truth for each in truths if (truth := each[k]) is not None]
-        reports.append(
-            wand_report(
-                runs_of_ball,
-                # if the tracker has more balls than the film, one of them has no truth
-                truths_of_ball if len(truths_of_ball) == len(runs_of_ball) else None,
-                dataset=recording.name if k == 0 else f"{recording.name}, ball {k + 1}",
-                frames=recording.frames,
-                radius=ball.radius,
-            )
-        )
+        own = [truth for each in truths if (truth := each[k]) is not None]
+        own = own if len(own) == len(runs) else None  # of a tracker with more balls than the film, one has no truth
+        name = recording.name if k == 0 else f"{recording.name}, ball {k + 1}"
+        of_ball = [run[k] for run in runs]
+        reports.append(wand_report(of_ball, own, dataset=name, frames=recording.frames, radius=ball.radius))
     first, *more = reports
     return {**first, "more_balls": more} if more else first
