@@ -81,9 +81,8 @@ def _estimate_pose(run: LiveRun, pending: PendingRequest) -> None:
     """Estimate the camera's pose again, in a thread of the pool, until the client disconnects."""
     _refuse_without_camera(run)
     if run.workers.busy(POSE):
-        raise ControlError(
-            "the camera's pose is being estimated already, for a client that has disconnected; ask again"
-        )
+        problem = "the camera's pose is being estimated already, for a client that has disconnected"
+        raise ControlError(problem, "ask again")
 
     def answer(error: str | None, text: str) -> None:
         run.log(text if error is None else f"camera pose: {error}")

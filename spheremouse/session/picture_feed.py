@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from spheremouse.capture import RawFrame
+from spheremouse.capture.newest import Arrival
 from spheremouse.errors import ControlError, DamagedFrameError, internal_error_text
 from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.protocol import LEASE
@@ -44,21 +44,14 @@ class PictureFeed:
             return self._ring
 
     def show(
-        self,
-        now: float,
-        raw: RawFrame,
-        adapter: TrackerAdapter,
-        result: FrameResult | None,
-        *,
-        camera: int = 0,
-        cameras: int = 1,
+        self, now: float, arrival: Arrival, adapter: TrackerAdapter, result: FrameResult | None, cameras: int = 1
     ) -> None:
-        """Write a frame of a `camera` that is not yet released, if a picture is due.
+        """Write a frame that is not yet released, if a picture is due.
 
         `result` is None if the frame was not tracked. Several `cameras` take turns. If the others give no frames, a
         camera's next picture comes one interval late.
         """
-        interval = self._interval
+        interval, raw, camera = self._interval, arrival.raw, arrival.camera
         if self._ring is None or now < self._due + (interval if cameras > 1 and camera == self._camera else 0.0):
             return
         self._camera = camera
@@ -68,9 +61,8 @@ class PictureFeed:
             image = raw.payload()
             marks = {"camera": camera, **adapter.annotations(result)}
             self._number += 1
-            self._write(
-                LivePicture(self._number, raw.stamp, image.format, image.width, image.height, image.data, marks)
-            )
+            size = image.width, image.height
+            self._write(LivePicture(self._number, raw.stamp, image.format, *size, image.data, marks))
         except DamagedFrameError:
             pass
         except ControlError as e:

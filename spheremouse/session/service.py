@@ -103,8 +103,7 @@ class Daemon:
                 self._publish(made, arrival.taken, shown=shown)
             elif worker.untracked is not None and shown:
                 parts.archive.look(worker.untracked, parts.adapter)
-            cameras = len(parts.captures.each)
-            parts.pictures.show(now, arrival.raw, parts.adapter, made, camera=arrival.camera, cameras=cameras)
+            parts.pictures.show(now, arrival, parts.adapter, made, len(parts.captures.each))
         finally:
             if replay is not None and waiting and not parts.adapter.waiting:
                 replay.control(replay.controls, rewind=True)  # to the frames before the pose was known
@@ -156,7 +155,7 @@ class Daemon:
             self._reopened_at = now
             captures.reopen()
         if parts.reloader.outdated:
-            parts.requests.run_now(PendingRequest(Request(command="reload"), quiet=True), parts.reloader.reload)
+            parts.requests.put(PendingRequest(Request(command="reload"), quiet=True))
         parts.archive.cancel_abandoned()
 
     def _reload(self) -> None:

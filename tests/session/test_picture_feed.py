@@ -12,6 +12,7 @@ from reporting import PATIENCE, until
 
 from spheremouse.ball.build import build
 from spheremouse.capture import Payload
+from spheremouse.capture.newest import Arrival
 from spheremouse.capture.replay import Controls
 from spheremouse.errors import ControlError, DamagedFrameError, SourceError
 from spheremouse.files.dataset.ball import open_dataset
@@ -50,6 +51,10 @@ class Raw:
 ADAPTER = SimpleNamespace(annotations=lambda made: {"sequence": made})
 
 
+def show(feed, now, raw, made, camera=0, cameras=1, adapter=ADAPTER):
+    feed.show(now, Arrival(raw, now, camera), adapter, made, cameras)
+
+
 @pytest.fixture
 def log():
     return []
@@ -68,7 +73,7 @@ def reader_of(feed, now=0.0, interval=0.1, size=SIZE):
 
 def test_a_picture_is_the_raw_frame_with_the_marks_of_the_tracker(feed):
     reader = reader_of(feed)
-    feed.show(0.0, Raw(7), ADAPTER, 41)
+    show(feed, 0.0, Raw(7), 41)
     picture = reader.latest()
     assert (picture.format, picture.width, picture.height, picture.stamp) == ("grey", 8, 4, 3.5)
     assert picture.pixels == 32 * b"\7"
@@ -84,7 +89,7 @@ def test_the_mean_interval_is_the_shortest_one_requested_at_any_rate_of_the_came
     for k, raw in enumerate(raws):
         for interval in intervals if k % 20 == 0 else ():
             feed.lease(k / fps, interval, SIZE)
-        feed.show(k / fps, raw, ADAPTER, k)
+        show(feed, k / fps, raw, k)
     shown, shortest = np.flatnonzero([raw.copied for raw in raws]) / fps, min(intervals)
     assert np.mean(np.diff(shown)) == pytest.approx(max(shortest, 1 / fps), rel=0.03)
     assert np.diff(shown).min() > 0.5 * shortest - 1e-9
@@ -95,7 +100,7 @@ def test_two_cameras_take_turns_and_one_goes_on_alone(feed, cameras, shown):
     reader, seen = reader_of(feed), []
     for k in range(18):  # 0.6 s
         for camera in cameras:
-            feed.show(k / 30 + 1e-3 * camera, Raw(k), ADAPTER, k, camera=camera, cameras=2)
+            show(feed, k / 30 + 1e-3 * camera, Raw(k), k, camera=camera, cameras=2)
             if (picture := reader.latest(len(seen))) is not None:
                 seen.append(picture.annotations["camera"])
     assert seen == shown
@@ -103,15 +108,15 @@ def test_two_cameras_take_turns_and_one_goes_on_alone(feed, cameras, shown):
 
 def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
     before, raw = len(os.listdir("/proc/self/fd")), Raw()
-    feed.show(0.0, raw, ADAPTER, 1)
+    show(feed, 0.0, raw, 1)
     ring = feed.lease(1.0, 0.1, SIZE)
     assert len(os.listdir("/proc/self/fd")) > before
     for now in (1.0, 1.0 + 0.9 * LEASE):
         feed.expire(now)
-        feed.show(now, raw, ADAPTER, 1)
+        show(feed, now, raw, 1)
     assert raw.copied == 2
     feed.expire(1.1 + LEASE)
-    feed.show(1.1 + LEASE, raw, ADAPTER, 1)
+    show(feed, 1.1 + LEASE, raw, 1)
     assert raw.copied == 2
     assert len(os.listdir("/proc/self/fd")) == before
     assert feed.lease(9.0, 0.1, SIZE) is not ring
@@ -119,9 +124,9 @@ def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
 
 def test_a_larger_frame_gets_a_larger_ring_and_numbers_go_on(feed):
     reader = reader_of(feed)
-    feed.show(0.0, Raw(1), ADAPTER, 1)
+    show(feed, 0.0, Raw(1), 1)
     first = reader.latest().number
-    feed.show(1.0, Raw(2, (640, 480)), ADAPTER, 2)
+    show(feed, 1.0, Raw(2, (640, 480)), 2)
     larger = reader_of(feed, 1.0).latest(first)
     assert (larger.width, larger.pixels[0]) == (640, 2)
     assert larger.number > first
@@ -129,15 +134,15 @@ def test_a_larger_frame_gets_a_larger_ring_and_numbers_go_on(feed):
 
 def test_damaged_frames_are_passed_over(feed):
     reader = reader_of(feed)
-    feed.show(0.0, Raw(damaged=True), ADAPTER, 1)
+    show(feed, 0.0, Raw(damaged=True), 1)
     assert reader.latest() is None
 
 
 def test_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
     reader = reader_of(feed)
-    feed.show(0.0, Raw(), SimpleNamespace(annotations=lambda made: 1 / 0), 1)
-    feed.show(1.0, Raw(), SimpleNamespace(annotations=lambda made: {"x": float("nan")}), 1)
-    feed.show(2.0, Raw(), ADAPTER, 3)
+    show(feed, 0.0, Raw(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
+    show(feed, 1.0, Raw(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
+    show(feed, 2.0, Raw(), 3)
     assert reader.latest().annotations == {"camera": 0, "sequence": 3}
     assert ["ZeroDivisionError" in log[0], "ValueError" in log[1]] == [True, True]
 
@@ -155,7 +160,7 @@ def test_each_pass_is_exactly_that_of_the_recording_tracked_frame_by_frame(tmp_p
         estimate = made.epoch.estimate
         results.append((made.frame.sequence, estimate.rotation, estimate.rate, estimate.increment))
 
-    parts = LiveRun(overrides, plan, setup, lambda _: setup.open_replay, lambda _: None)
+    parts = LiveRun(overrides, plan, setup, lambda _: lambda: setup.replay, lambda _: None)
     thread = threading.Thread(target=Daemon(parts, show=show).run, args=(stop,))
     thread.start()
     try:

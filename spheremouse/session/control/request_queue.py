@@ -26,7 +26,10 @@ class PendingRequest:
     def __init__(
         self, request: Request, send: Callable[[dict[str, Any]], None] = lambda _: None, *, quiet: bool = False
     ) -> None:
-        """`send` passes the reply on, from any thread. `quiet`: log nothing if nothing changes."""
+        """`send` passes the reply on, from any thread.
+
+        `quiet`: nothing is logged if nothing changes, and the request does not wait for another of its kind.
+        """
         self.request, self.quiet = request, quiet
         self.cancelled = False  # its client has disconnected
         self._send = send
@@ -77,8 +80,8 @@ class RequestQueue:
             self._waiting = [p for p in self._waiting if not p.cancelled]
             busy = pending.kind in self._under_way or any(p.kind == pending.kind for p in self._waiting)
             error = ""
-            if busy and pending.kind in _BUSY_MESSAGES:
-                error = f"{_BUSY_MESSAGES[pending.kind]}; ask again when it is done"
+            if busy and (pending.quiet or pending.kind in _BUSY_MESSAGES):
+                error = f"{_BUSY_MESSAGES.get(pending.kind, 'one is under way')}; ask again when it is done"
             elif len(self._waiting) >= MAX_WAITING:
                 error = f"{MAX_WAITING} requests wait already; ask again when they are done"
             else:
@@ -97,7 +100,7 @@ class RequestQueue:
             pending = next((p for p in self._waiting if p.kind not in self._under_way), None)
             if pending is not None:
                 self._waiting.remove(pending)
-                self._begin(pending)
+                self._under_way[pending.kind], pending._finish = pending, partial(self._end, pending)
             return pending
 
     def run(self, handle: Callable[[PendingRequest], None]) -> None:
@@ -106,19 +109,6 @@ class RequestQueue:
             self._guard(self._calls.popleft())
         while (pending := self.take()) is not None:
             self._guard(partial(pending.attempt, partial(handle, pending)))
-
-    def run_now(self, pending: PendingRequest, handle: Callable[[PendingRequest], None]) -> None:
-        """Begin a request in the worker's thread, unless one of its kind is under way."""
-        with self._lock:
-            if pending.kind in self._under_way:
-                return
-            self._begin(pending)
-        pending.attempt(partial(handle, pending))
-
-    def _begin(self, pending: PendingRequest) -> None:
-        """Mark a request as being worked on, until its answer."""
-        self._under_way[pending.kind] = pending
-        pending._finish = partial(self._end, pending)
 
     def _end(self, pending: PendingRequest) -> None:
         """Let the next request of this kind begin. A second answer has no effect."""
