@@ -30,6 +30,7 @@ class Captures:
         """Create the threads; `patience`, s, is the longest time without a frame. `log` may be called by any thread."""
         self._log = log
         self.each = tuple(Capture(open_it, latest, log, patience, k) for k, open_it in enumerate(cameras))
+        self.first = self.each[0]  # the capture of the first camera
         self._troubles = [_Trouble("", 0.0, "")] * len(self.each)
 
     def start(self, claim: Callable[[int | None], None]) -> None:
@@ -37,11 +38,6 @@ class Captures:
         for capture in self.each:
             begin(capture)
             claim(capture.native_id)
-
-    @property
-    def first(self) -> Capture:
-        """The capture of the first camera."""
-        return self.each[0]
 
     @property
     def main(self) -> int:

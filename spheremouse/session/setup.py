@@ -3,11 +3,9 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Camera, OpenCamera, Source, Stream, open_source, pace
 from spheremouse.capture.fetch import Streamed
@@ -17,10 +15,10 @@ from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball.adapter import BallAdapter
-from spheremouse.session.ball.map_keeper import MapKeeper
+from spheremouse.session.ball.map_keeper import open_keeper
 from spheremouse.session.cameras import is_camera, node_of
 from spheremouse.session.run_config import RunConfig, with_distinct_names
-from spheremouse.session.tracker_adapter import MAP, Submit, TrackerAdapter
+from spheremouse.session.tracker_adapter import Submit, TrackerAdapter
 
 if TYPE_CHECKING:
     from spheremouse.wand.ball import WandBall
@@ -38,25 +36,14 @@ class Setup:
     second: Source | None = None  # of the second camera, if there is one, and it is no camera
 
     @property
-    def rig(self) -> Rig | None:
-        """The device that the source brings; None without a source, or if it brings none."""
-        return None if self.source is None else self.source.rig
-
-    @property
-    def rigs(self) -> tuple[Rig | None, Rig | None]:
-        """The devices that the sources of the first and the second camera bring."""
-        return self.rig, None if self.second is None else self.second.rig
+    def rigs(self) -> tuple[Rig | None, ...]:
+        """The devices that the sources of the first and the second camera bring; None for a camera."""
+        return tuple(None if source is None else source.rig for source in (self.source, self.second))
 
     def planned(self, plan: RunConfig) -> RunConfig:
         """Return the plan without a map if the source brings its own device, unless a map was requested."""
-        brought = self.rig is not None and not is_camera(plan.source)
+        brought = self.rigs[0] is not None and not is_camera(plan.source)
         return replace(plan, map_path=None) if brought and plan.configuration.map is None else plan
-
-    @property
-    def open_replay(self) -> OpenCamera | None:
-        """The function that opens the replay as a camera; None if there is none."""
-        replay = self.replay
-        return None if replay is None else lambda: replay
 
     def adapter(self, plan: RunConfig, log: Callable[[str], None], submit: Submit) -> TrackerAdapter:
         """Return the tracker's adapter. Raise ConfigurationError or PoseError if the plan is incomplete."""
@@ -67,11 +54,8 @@ class Setup:
             made.introduce()
             return made
         given = self.rigs[: len(plan.cameras)]
-        rigs, keeper = plan.devices(given), None
-        if plan.map_path is not None:
-            kind = map_kind(rigs[0], plan.configuration)
-            keeper = MapKeeper(plan.map_path, rigs[0], kind, log, elsewhere=partial(submit, MAP))
-        return BallAdapter(rigs, plan.configuration, keeper, log, submit, given)
+        rigs = plan.devices(given)
+        return BallAdapter(rigs, plan.configuration, open_keeper(plan, rigs[0], log, submit), log, submit, given)
 
     def wand_tracker(self, plan: RunConfig) -> "WandTracker":
         """Return the tracker of the plan's balls, else of the recording's own, else of `grzonka_ball()`.
@@ -86,10 +70,8 @@ class Setup:
         settings = plan.configuration.wand
         camera = plan.camera or (None if plan.rig is None else plan.rig.camera) or self.camera
         if camera is None:
-            raise ConfigurationError(
-                f"{plan.source}: has no description of the camera; give its file with --camera FILE "
-                "(`spheremouse calibrate camera` makes it)"
-            )
+            hint = "give its file with --camera FILE (`spheremouse calibrate camera` makes it)"
+            raise ConfigurationError(f"{plan.source}: has no description of the camera", hint)
         balls = plan.balls.balls or self.balls or (grzonka_ball(),)
         if settings.points > len(balls):
             number = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
@@ -129,9 +111,8 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
         first, *more = (open_source(each.source, realtime=realtime) for each in plan.cameras)
         return Setup(first, second=more[0] if more else None)
     if kind == "synthetic":
-        raise SourceError(
-            f"{plan.source}: simulates no wand; film one with `spheremouse wand simulate DIR`, give dataset:DIR"
-        )
+        hint = "film one with `spheremouse wand simulate DIR`, give dataset:DIR"
+        raise SourceError(f"{plan.source}: simulates no wand", hint)
     if not argument:
         raise SourceError("dataset: needs a folder; write dataset:DIR")
     from spheremouse.files.dataset.wand import open_wand
@@ -142,8 +123,13 @@ def open_setup(plan: RunConfig, realtime: bool = False) -> Setup:
     return Setup(stream, recording.camera, recording.balls)
 
 
-def opener(plan: RunConfig, opened: list[Source] | None = None) -> OpenCamera:
-    """Return a function that opens a plan's camera and locks its node. It takes a source that is `opened` already."""
+def opener(plan: RunConfig, opened: list[Source] | None = None, replay: Replay | None = None) -> OpenCamera:
+    """Return a function that opens a plan's camera and locks its node. It takes a source that is `opened` already.
+
+    A `replay` is the camera of any plan.
+    """
+    if replay is not None:
+        return lambda: replay
 
     def open_it() -> Camera:
         kind, _, argument = plan.source.partition(":")

@@ -24,7 +24,7 @@ TARGETS, POSE, MAP = "targets", "pose", "map"  # kinds of work that adapters hav
 
 
 def here(_: str, work: Work) -> None:
-    """Do the work in this thread, at once. A `Do`."""
+    """Do the work in this thread, at once. A `Submit`."""
     follow_up = work()
     if follow_up is not None:
         follow_up()
@@ -78,10 +78,14 @@ class TrackerAdapter(Protocol):
     Derive an adapter from it.
     """
 
-    waiting: str  # reason why nothing can be tracked yet; empty if it can
     status: Status  # of the ball that moves the pointer
     untracked: int  # frames that came before anything could be tracked
     mapping: Mapping  # conversion of the pointing ball's motion to counts
+
+    @property
+    def waiting(self) -> str:
+        """Reason why nothing can be tracked yet; empty if it can."""
+        return ""
 
     @property
     def reason(self) -> str:

@@ -236,7 +236,7 @@ def serve(
         overrides,
         plan,
         setup,
-        lambda new_plan: setup.open_replay or opener(new_plan, opened),  # the first call takes the open source
+        lambda new_plan: opener(new_plan, opened, setup.replay),  # the first call takes the open source
         view.log,
     )
     daemon = Daemon(parts, show=view.show, frames=frames)

@@ -25,7 +25,7 @@ from spheremouse.output.counts import Counter
 from spheremouse.output.sample import Sample
 from spheremouse.session import messages
 from spheremouse.session.ball.camera import PosedCamera
-from spheremouse.session.ball.map_keeper import MapKeeper, Newest
+from spheremouse.session.ball.map_keeper import MapKeeper, Newest, open_keeper
 from spheremouse.session.ball.recorded import ball_subject, draw_target_search, recorded_mask
 from spheremouse.session.ball.search import BallMessages
 from spheremouse.session.control.status import PoseStatus, TrackerStatus
@@ -36,7 +36,6 @@ from spheremouse.session.overlay.drawing import picture_of
 from spheremouse.session.run_config import RunConfig
 from spheremouse.session.settings import Configuration
 from spheremouse.session.tracker_adapter import (
-    MAP,
     TARGETS,
     FrameResult,
     LogMessages,
@@ -80,7 +79,6 @@ class BallAdapter(TrackerAdapter):
         )
         self._names, self._shown = names, self.cameras[0]  # the camera of the last frame
         self.state: TrackState | None = None
-        self.waiting = self._waiting()
         self.status = Status.SEARCHING
         self._messages = BallMessages(partial(submit, TARGETS))
         self.untracked = 0  # frames before the first pose
@@ -114,8 +112,8 @@ class BallAdapter(TrackerAdapter):
         tracker, state = camera.tracker, self.state
         return tracker if tracker is None or state is None else current_of(state, camera.number, tracker)
 
-    def _waiting(self) -> str:
-        """Return the reason why no camera shows anything to track; empty if one does."""
+    @property
+    def waiting(self) -> str:
         return "" if any(camera.tracker is not None for camera in self.cameras) else self.cameras[0].waiting
 
     @property
@@ -151,7 +149,6 @@ class BallAdapter(TrackerAdapter):
             if start.resection is not None:
                 camera.set_pose(start.pose, messages.describe_camera_pose(start.resection, camera.rig), start.resection)
             starts.append(start.frames)
-        self.waiting = self._waiting()
         if self.rig.scale_free:
             scale = self.settings.motion.scale(None)
             self._log(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
@@ -177,7 +174,6 @@ class BallAdapter(TrackerAdapter):
         if camera.tracker is None:
             self.untracked += 1
             camera.look_for_targets(frame)
-            self.waiting = self._waiting()
             return None
         if self.state is not None and self.state.camera != frame.camera and camera.is_late(frame, self.state):
             return None
@@ -219,8 +215,8 @@ class BallAdapter(TrackerAdapter):
         mapped, rig = not {"rig", "map"}.isdisjoint(changed), rigs[0]
         if "rig" in changed:
             BallAdapter(rigs, settings, None, _discard)
-        if mapped and plan.map_path is not None:
-            MapKeeper(plan.map_path, rig, map_kind(rig, settings), _discard)
+        if mapped:
+            open_keeper(plan, rig, _discard)
         tuned = "tracker" in changed and "rig" not in changed
         state, trackers = self._with_settings(settings) if tuned else (self.state, [c.tracker for c in self.cameras])
 
@@ -354,11 +350,8 @@ class BallAdapter(TrackerAdapter):
     # ---- within ----
 
     def _next_keeper(self, plan: RunConfig, rig: Rig) -> MapKeeper | None:
-        if plan.map_path is None:
-            return None
         try:
-            kind = map_kind(rig, plan.configuration)
-            return MapKeeper(plan.map_path, rig, kind, self._log, elsewhere=partial(self._submit, MAP))
+            return open_keeper(plan, rig, self._log, self._submit)
         except SpheremouseError as e:
             self._log(f"map: {e}; going on without")
             return None

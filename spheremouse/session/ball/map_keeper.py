@@ -9,17 +9,21 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
+from spheremouse.ball.build import map_kind
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.ball_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.files.safe_files import open_to_read, replace
 from spheremouse.geometry.rotation import Array
+from spheremouse.session.run_config import RunConfig
+from spheremouse.session.tracker_adapter import MAP, Submit, here
 
 CHECK_INTERVAL_S = 60.0  # between two checks for a changed map; a power cut can cost as much
 _MIN_OF_SAME_BALL = 0.8  # part of the saved map that one of the same ball must contain to replace it
@@ -70,6 +74,13 @@ def choose_map(saved: BallMap | None, new: BallMap, *, extends_saved: bool) -> M
     back = comparison.rotation.T
     text = f"the same ball with a new map, turned into its earlier axes, {comparison.text}"
     return MapDecision(new.turned(back), text, back, keep_old=True)
+
+
+def open_keeper(plan: RunConfig, rig: Rig, log: Callable[[str], None], submit: Submit = here) -> "MapKeeper | None":
+    """Return the keeper of a plan's map; None if the plan keeps none. `rig` is of the first camera."""
+    if plan.map_path is None:
+        return None
+    return MapKeeper(plan.map_path, rig, map_kind(rig, plan.configuration), log, elsewhere=partial(submit, MAP))
 
 
 class Newest(NamedTuple):

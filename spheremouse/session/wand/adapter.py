@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from spheremouse.errors import SourceError, SpheremouseError
+from spheremouse.errors import SourceError, SpheremouseError, format_count
 from spheremouse.files.dataset.format import BALL_FILES
 from spheremouse.files.dataset.wand import wand_scene
 from spheremouse.files.wand import wand_text
@@ -48,7 +48,6 @@ class WandAdapter(TrackerAdapter):
         self._poses: tuple[WandPose, ...] = ()
         self._estimate: Estimate | None = None  # of the last frame
         self._frames = 0
-        self.waiting = ""
         self.status = Status.SEARCHING
         self.untracked = 0  # each frame is tracked
         self._set_tracker(plan, make(plan))
@@ -61,7 +60,6 @@ class WandAdapter(TrackerAdapter):
 
     @property
     def subject(self) -> Subject:
-        """The balls in whole pictures."""
         return self._subject
 
     @property
@@ -96,14 +94,11 @@ class WandAdapter(TrackerAdapter):
 
     def _samples(self, estimates: tuple[Estimate, ...], events: tuple[Event, ...]) -> tuple[Sample, ...]:
         """Return a sample for each ball, with its events; those of no ball go with the one that points."""
-        named = [[] for _ in estimates]
         names = [ball.name for ball in self.tracker.balls]
-        for event in events:
-            index = names.index(event.ball) if isinstance(event, BallEvent) else self.pointing_index
-            named[index].append(event.name)
+        of = [names.index(e.ball) if isinstance(e, BallEvent) else self.pointing_index for e in events]
         return tuple(
-            Sample(estimate, k + 1, name, "cam", tuple(event_names))
-            for k, (estimate, name, event_names) in enumerate(zip(estimates, names, named, strict=True))
+            Sample(estimate, k + 1, name, "cam", tuple(e.name for e, ball in zip(events, of, strict=True) if ball == k))
+            for k, (estimate, name) in enumerate(zip(estimates, names, strict=True))
         )
 
     def take_messages(self) -> LogMessages:
@@ -195,7 +190,7 @@ class WandAdapter(TrackerAdapter):
     def failure(self, unused: str) -> SpheremouseError | None:
         if self.pointing_index in self._messages.found:
             return None
-        frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
+        frames = format_count(self._frames, "frame")
         reason = f"{self._messages.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
         return SourceError(f"{self._plan.source}: {reason}")
 

@@ -15,7 +15,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.ball_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.ball import map_keeper as session_map
-from spheremouse.session.ball.map_keeper import MapKeeper, Newest, choose_map
+from spheremouse.session.ball.map_keeper import MapKeeper, Newest
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
@@ -151,14 +151,6 @@ def test_a_new_balls_map_grows_in_its_own_frame_and_the_old_map_is_set_aside_onc
     assert said[-1] == "24 discs saved: 14 discs stayed, 10 new"
     np.testing.assert_allclose(in_file(path), OTHER_BALL, atol=1e-8)
     np.testing.assert_allclose(in_file(path.with_name("rig.map.old.yaml")), BALL, atol=1e-8)
-
-
-def test_succession_states_the_rotation_that_it_used():
-    now = known(BALL @ R.T)
-    next_ = choose_map(known(BALL), now, extends_saved=False)
-    assert next_.map is not None
-    np.testing.assert_allclose(now.turned(next_.rotation).directions, next_.map.directions, atol=1e-15)
-    np.testing.assert_allclose(next_.rotation, R.T, atol=1e-9)
 
 
 # ---- when ----
