@@ -85,9 +85,8 @@ def check_settable(overrides: CommandLineOverrides, assignments: tuple[str, ...]
     """Raise ControlError for a setting that is read at the start only, and for `map` under --no-map."""
     sections = {key_of(a).partition(".")[0] for a in assignments}
     if at_start := sorted(sections.intersection(AT_START)):
-        raise ControlError(
-            f"{', '.join(at_start)}: read at the start only; write it into the configuration file and start again"
-        )
+        hint = "write it into the configuration file and start again"
+        raise ControlError(f"{', '.join(at_start)}: read at the start only", hint)
     if overrides.no_map and "map" in sections:
         raise ControlError("map: this run keeps no map; start again without --no-map")
 
@@ -246,9 +245,8 @@ class ConfigReloader:
             return
         changes = tuple(c for c in self.overrides.changes if keys is None or key_of(c) in keys)
         if fixed := sorted(set(map(key_of, changes)) & set(given(self.overrides))):
-            raise ControlError(
-                f"{', '.join(fixed)}: set on the command line, which overrides it; start again without that option"
-            )
+            problem = f"{', '.join(fixed)}: set on the command line, which overrides it"
+            raise ControlError(problem, "start again without that option")
 
         def write() -> None:
             try:

@@ -146,9 +146,8 @@ class LiveRun:
 
     def trouble_of(self, camera: int) -> str:
         """Return the reason why a camera takes no part in tracking; empty if it does."""
-        return (
-            self.captures.trouble_of(camera) or self.worker.refused.get(camera, "") or self.adapter.trouble_of(camera)
-        )
+        refused = self.worker.refused.get(camera, "")
+        return self.captures.trouble_of(camera) or refused or self.adapter.trouble_of(camera)
 
     def close(self) -> None:
         """Close the camera, outputs and all other parts, in the reverse order of the callbacks.

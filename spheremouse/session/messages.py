@@ -129,18 +129,15 @@ def sentence(event: Event, words: Words) -> str:
             size = f"{100.0 * abs(error):.1f} % {'larger' if error > 0.0 else 'smaller'}"
             return f"the ball looks {size} than the rig has it: measure its radius and place again, or calibrate"
         case events.ReadoutKnown(readout):
-            return (
-                f"rolling shutter: {1e3 * readout:.1f} ms for all rows (set readout_s: {readout:.4f} in the rig file)"
-            )
+            remedy = f"set readout_s: {readout:.4f} in the rig file"
+            return f"rolling shutter: {1e3 * readout:.1f} ms for all rows ({remedy})"
         case events.DiscColours(weights):
             return _in_colours(weights)
         case events.AxisUnseen(ended=True):
             return "the pattern shows turns about all axes again"
         case events.AxisUnseen():
-            return (
-                "the pattern shows no turn about one axis, as stripes do, so motion about it is not measured: add "
-                "spots of many sizes"
-            )
+            unseen = "the pattern shows no turn about one axis, as stripes do"
+            return f"{unseen}, so motion about it is not measured: add spots of many sizes"
         case events.PatternRepeats():
             return "the pattern repeats itself, so a lost ball gets a new map: add a few spots that differ"
         case events.CameraMoved(path, turn, asked):

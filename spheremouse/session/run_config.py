@@ -58,10 +58,8 @@ def read_balls(files: Iterable[Path]) -> Balls:
         balls.append(file.ball)
         for name, bounds in file.colours.items():
             if colours.setdefault(name, bounds) != bounds:
-                raise ConfigurationError(
-                    f"{path}: colours.{name}: other bounds than in {said_by[name]}; a colour has one set of bounds, "
-                    "or another name"
-                )
+                problem = f"{path}: colours.{name}: other bounds than in {said_by[name]}"
+                raise ConfigurationError(problem, "a colour has one set of bounds, or another name")
             said_by.setdefault(name, path)
     return Balls(tuple(balls), colours)
 
@@ -129,9 +127,8 @@ class RunConfig:
         """Return the calibrated device; `given` is that of the source. Raises ConfigurationError if there is none."""
         rig = self.rig or given
         if rig is None:
-            raise ConfigurationError(
-                f"{self.source}: has no description of the device; give its rig file with --rig FILE"
-            )
+            problem = f"{self.source}: has no description of the device"
+            raise ConfigurationError(problem, "give its rig file with --rig FILE")
         return rig if self.camera is None else replace(rig, camera=self.camera)
 
 
@@ -152,9 +149,8 @@ def read_run_config(overrides: CommandLineOverrides) -> RunConfig:
         return _read(overrides, ())
     try:
         plan = _read(overrides, saved := read_saved(overrides.saved))
-        return replace(
-            plan, notice=f"{overrides.saved}: in place of the configuration file: {', '.join(saved)}" if saved else ""
-        )
+        notice = f"{overrides.saved}: in place of the configuration file: {', '.join(saved)}"
+        return replace(plan, notice=notice if saved else "")
     except ConfigurationError as e:
         plan = _read(overrides, ())  # raises if the fault is elsewhere
         return replace(plan, notice=f"saved settings ignored: {e}; `spheremouse ctl save --forget` removes them")
@@ -167,21 +163,17 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         c = config.override(c, change, label="")
     c = _with_folder(c, overrides.file)
     if not c.sources:
-        raise ConfigurationError(
-            "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
-        )
+        hint = "give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
+        raise ConfigurationError(f"no source: {hint}")
     outputs = c.outputs
     if not outputs:
-        raise ConfigurationError(
-            "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
-            '(in quotes, "null", where motion is to go nowhere)'
-        )
+        hint = "give --output, for example uinput or text:-, or `output:` in --config FILE"
+        raise ConfigurationError(f'no output: {hint} (in quotes, "null", where motion is to go nowhere)')
     for key, text in contradictions(replace(c, map=None) if overrides.no_map else c):
         raise ConfigurationError(f"{key}: {text}")
     camera_path, map_file = (beside(overrides.file, name) for name in (c.camera_file, c.map))
     rig_paths = [beside(overrides.file, name) for name in c.rigs] or [None] * len(c.sources)
-    rigs = [None if path is None else load_rig(path) for path in rig_paths]
-    rig_path, rig = rig_paths[0], rigs[0]
+    (rig, rig_path), *others = [(None if path is None else load_rig(path), path) for path in rig_paths]
     camera = None if camera_path is None else load_camera(camera_path)
     if overrides.no_map or c.tracker != "so3":
         map_file = None
@@ -189,22 +181,9 @@ def _read(overrides: CommandLineOverrides, saved: tuple[str, ...]) -> RunConfig:
         map_file = _usual_map(rig_path, map_kind(rig, c))
     ball_paths = wand_files(overrides.file, c) if c.tracker == "wand" else ()
     balls, (source, *more) = read_balls(ball_paths), map(sources.full_spec, c.sources)
-    second = SecondCamera(more[0], rigs[1], rig_paths[1]) if more else None
-    return RunConfig(
-        c,
-        source,
-        outputs,
-        rig,
-        rig_path,
-        camera,
-        camera_path,
-        map_file,
-        balls,
-        ball_paths,
-        without_changes,
-        saved,
-        second=second,
-    )
+    second = SecondCamera(more[0], *others[0]) if more else None
+    files = (rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
+    return RunConfig(c, source, outputs, *files, without_changes, saved, second=second)
 
 
 def contradictions(c: Configuration) -> Iterator[tuple[str, str]]:
@@ -216,11 +195,8 @@ def contradictions(c: Configuration) -> Iterator[tuple[str, str]]:
     if c.map is not None and c.tracker != "so3":
         yield "map", f"tracker {c.tracker} keeps no map; use so3, or leave the map out"
     if c.rigs and names and len(c.rigs) != len(names):
-        yield (
-            "rig",
-            f"{len(c.rigs)} and not {len(names)}, the number of sources; give one rig file for each source, in the "
-            "same order",
-        )
+        numbers = f"{len(c.rigs)} and not {len(names)}, the number of sources"
+        yield "rig", f"{numbers}; give one rig file for each source, in the same order"
     if len(names) > 1:
         if c.camera_file is not None:
             yield "camera_file", "belongs to one camera; of two, write each camera into its rig file"
@@ -238,9 +214,8 @@ def check_kinds(plan: RunConfig, before: RunConfig | None = None) -> None:
     rejected too.
     """
     if before is not None and "wand" in {plan.configuration.tracker} ^ {before.configuration.tracker}:
-        raise ConfigurationError(
-            "tracker: a ball in its frame and one in a hand are runs of their own: stop this run and start again"
-        )
+        problem = "tracker: a ball in its frame and one in a hand are runs of their own"
+        raise ConfigurationError(f"{problem}: stop this run and start again")
     if before is not None and len(plan.cameras) != len(before.cameras):
         raise ConfigurationError("source: one camera more or less is another run: stop this run and start again")
     known = () if before is None else [each.source for each in before.cameras]

@@ -17,11 +17,9 @@ _MAX_FRAMES = 10_000  # that are kept: some minutes
 
 
 class FrameTimes:
-    """Times of the last frames, s."""
+    """Times of the last frames, s. The window of `recent_quantile` and `rate` is 1 s."""
 
-    def __init__(self, window: float = 1.0) -> None:
-        """`window`, s, is the period of `recent_quantile` and `rate`."""
-        self._window = window
+    def __init__(self) -> None:
         self._clocks: deque[float] = deque(maxlen=_MAX_FRAMES)
         self._seconds: deque[float] = deque(maxlen=_MAX_FRAMES)
         self._recent = 0  # frames in the window
@@ -31,7 +29,7 @@ class FrameTimes:
         self._clocks.append(clock)
         self._seconds.append(seconds)
         self._recent = min(self._recent + 1, _MAX_FRAMES)
-        while self._clocks[-self._recent] < clock - self._window:
+        while self._clocks[-self._recent] < clock - 1.0:
             self._recent -= 1
 
     def quantile(self, share: float) -> float:

@@ -358,7 +358,7 @@ def test_the_demo_writes_its_files_and_its_counts_are_the_true_ones(spheremouse,
 def test_times_are_summed_up_like_numpy_does():
     rng = np.random.default_rng(0)
     seconds = rng.lognormal(-4.0, 0.5, 5000)
-    times = FrameTimes(window=1.0)
+    times = FrameTimes()
     for i, s in enumerate(seconds):
         times.add(s, i / 100.0)
     for share in (0.1, 0.5, 0.99):

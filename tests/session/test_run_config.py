@@ -10,14 +10,7 @@ from spheremouse.errors import ConfigurationError, ControlError, OutputError
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text
 from spheremouse.files.yaml import dotted
-from spheremouse.session.config_reloader import (
-    check_read,
-    check_settable,
-    describe_changes,
-    given,
-    settings_in_use,
-    values,
-)
+from spheremouse.session.config_reloader import check_read, check_settable, given, settings_in_use
 from spheremouse.session.control.protocol import MAX_LINE, encode
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, check_kinds, read_run_config, saved_file
 from spheremouse.session.settings import Configuration
@@ -190,15 +183,6 @@ def test_what_the_command_line_said_is_known_by_its_keys():
 def test_what_is_settled_is_refused_and_all_with_it(assignment, why):
     with pytest.raises(ControlError, match=why):
         check_settable(SAID, ("motion.scale_y=2", assignment))
-
-
-def test_values_are_of_what_differs_and_of_what_was_assigned():
-    (_, before), (_, now) = plan_of(), plan_of("motion.scale_x=2", "discs.polarity=light")
-    found = values(before, now, ("motion.scale_y=1",))
-    assert found == {"motion.scale_x": (1.0, 2.0), "motion.scale_y": (1.0, 1.0), "discs.polarity": ("auto", "light")}
-    assert set(describe_changes(found).split(", ")) == {
-        "motion.scale_x 1.0 → 2.0", "motion.scale_y 1.0 already", "discs.polarity auto → light",
-    }  # fmt: skip
 
 
 def plan_of(*assignments):

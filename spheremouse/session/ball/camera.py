@@ -100,10 +100,9 @@ class PosedCamera:
         if state is None:
             return ""
         if self._agreement < _MIN_AGREEMENT and state.status is Status.TRACKING:
-            return (
-                "its discs are not where the other camera has them: uncover its view; if it was moved, initialise it "
-                "again; if it sees other targets than the other camera, run `spheremouse calibrate tie`"
-            )
+            problem = "its discs are not where the other camera has them"
+            hint = "if it sees other targets than the other camera, run `spheremouse calibrate tie`"
+            return f"{problem}: uncover its view; if it was moved, initialise it again; {hint}"
         part = part_of(state, self.number)
         moving_since = None if part is None or part.watch is None else part.watch.moving_since
         if part is not None and moving_since is not None and part.shown_at - moving_since > _MAX_MOVING_S:

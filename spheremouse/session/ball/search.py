@@ -152,17 +152,18 @@ class BallMessages:
             lines = [name + line for line in lines]
         if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
             self._known = messages.reason(lasting, words)
-        missing, new = self._missing.look(state, frame, tracker) if frame.camera == 0 else (self._last, False)
-        self._last = missing
+        new = False
+        if frame.camera == 0:
+            self._last, new = self._missing.look(state, frame, tracker)
         if new:
-            lines.append(missing)
+            lines.append(self._last)
         if lines:
             self._log = "; ".join(lines)
         withheld = state.withheld
         if withheld is not None and withheld.announced:
             self.reason = messages.withheld(frame.stamp - withheld.since, withheld.doubt, words)
         else:
-            self.reason = missing or self._known
+            self.reason = self._last or self._known
 
     def restart(self, reason: str) -> None:
         """Set `reason` to this text, since the search for the ball starts again."""
@@ -197,9 +198,8 @@ class MissingDiscs:
         if due and points < _FEW_DISCS and self._diagnosis.idle:
             self._diagnosed, self._seen, image = stamp, points, frame.image.copy()
             known = state.status is Status.LOST
-            self._diagnosis.begin(
-                lambda: detector.why_absent(image, tracker.rig, tracker.pose, tracker.settings, known)
-            )
+            given = image, tracker.rig, tracker.pose, tracker.settings, known
+            self._diagnosis.begin(lambda: detector.why_absent(*given))
         self._absence = self._diagnosis.take() or self._absence
         if self._absence is None or points >= _FEW_DISCS:
             return "", False

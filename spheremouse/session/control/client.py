@@ -259,15 +259,13 @@ def settings_to_save(
     keys = [key_of(assignment) for assignment in changes]
     given = [key for key in keys if key in status.given]
     if given:
-        words = f"{', '.join(given)}: set on the daemon's command line, which overrides the file; leave it out there"
-        raise ControlError(words)
+        problem = f"{', '.join(given)}: set on the daemon's command line, which overrides the file"
+        raise ControlError(problem, "leave it out there")
     if config is None and status.saved is not None:
         return None
     if not client.is_trusted and (config is None or assignments is None):
-        raise ControlError(
-            f"{client.path}: another user runs the daemon, so name settings and file yourself: "
-            "spheremouse ctl set KEY=VALUE --save --config FILE"
-        )
+        problem = f"{client.path}: another user runs the daemon, so name settings and file yourself"
+        raise ControlError(f"{problem}: spheremouse ctl set KEY=VALUE --save --config FILE")
     file = config or (None if status.config is None else Path(status.config))
     if file is not None and not file.is_file():
         raise ControlError(f"{file}: there is no such file", "put it back, and save again")

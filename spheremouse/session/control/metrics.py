@@ -17,9 +17,8 @@ def serve_metrics(port: int, address: str, status: Callable[[], StatusReport]) -
     try:
         from prometheus_client import CollectorRegistry, start_http_server
     except ImportError:
-        raise ControlError(
-            "metrics: prometheus-client is not installed; pip install 'spheremouse[metrics]', or metrics.port: null"
-        ) from None
+        hint = "pip install 'spheremouse[metrics]', or metrics.port: null"
+        raise ControlError("metrics: prometheus-client is not installed", hint) from None
     registry = CollectorRegistry()
     registry.register(_Collector(status))
     try:

@@ -17,21 +17,10 @@ from spheremouse.errors import ControlError, SpheremouseError, one_line
 from spheremouse.files.config import key_of
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
-from spheremouse.session.control import socket_file
+from spheremouse.session.control import protocol, socket_file
 from spheremouse.session.control.connection import Connection, Limits
 from spheremouse.session.control.metrics import serve_metrics
-from spheremouse.session.control.protocol import (
-    MAX_LINE,
-    BadRequestError,
-    Request,
-    Save,
-    Set,
-    Watch,
-    done,
-    internal_error,
-    parse,
-    refused,
-)
+from spheremouse.session.control.protocol import BadRequestError, Request, done, internal_error, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.socket_file import socket_path
 from spheremouse.session.control.status import StatusReport
@@ -132,7 +121,7 @@ class ControlServer:
         self._loop.set_exception_handler(lambda _, context: self._log(f"control: {context['message']}"))
         self._loop.add_reader(self._waking, self._send_samples)
         server = await asyncio.start_unix_server(
-            self._admit, sock=self._listener, limit=MAX_LINE, backlog=socket_file.BACKLOG
+            self._admit, sock=self._listener, limit=protocol.MAX_LINE, backlog=socket_file.BACKLOG
         )
         await self._ending.wait()
         server.close()
@@ -194,12 +183,12 @@ class ControlServer:
             client.busy = True
             await self._pace()
             try:
-                request = parse(line)
+                request = protocol.parse(line)
                 _check_rights(client.trusted, request)
             except BadRequestError as e:
                 await client.send(refused(str(e), e.id))
             else:
-                if isinstance(request, Watch):
+                if isinstance(request, protocol.Watch):
                     await client.send(done({}, request.id))
                     self._watch(client, request)
                 else:
@@ -231,7 +220,7 @@ class ControlServer:
         finally:
             pending.cancelled = not reply.done()
 
-    def _watch(self, client: Connection, request: Watch) -> None:
+    def _watch(self, client: Connection, request: protocol.Watch) -> None:
         """Begin to send events to a client, or change their kinds and the interval of its statuses."""
         if client.watching is not None:
             client.watching.cancel()
@@ -264,17 +253,13 @@ class ControlServer:
 
 
 def _check_rights(trusted: bool, request: Request) -> None:
-    if isinstance(request, Save) and not trusted:
+    if isinstance(request, protocol.Save) and not trusted:
         raise BadRequestError("save: only the daemon's own user and root may", request.id)
-    if trusted or not isinstance(request, Set):
-        return
-    for assignment in request.assignments:
-        key = key_of(assignment)
+    keys = [] if trusted or not isinstance(request, protocol.Set) else map(key_of, request.assignments)
+    for key in keys:
         if any(key == place or key.startswith(place + ".") for place in PLACES):
-            raise BadRequestError(
-                f"set: {key[:60]} names a file or device that the daemon opens; only its own user and root may set it",
-                request.id,
-            )
+            rule = "names a file or device that the daemon opens; only its own user and root may set it"
+            raise BadRequestError(f"set: {key[:60]} {rule}", request.id)
 
 
 def _resolve(reply: asyncio.Future[dict[str, Any]], message: dict[str, Any]) -> None:

@@ -165,10 +165,8 @@ def _give_to_group(path: Path, gid: int, group: str | None) -> None:
     try:
         os.chown(path, -1, gid, follow_symlinks=False)
     except PermissionError:
-        raise ControlError(
-            f"control.group {group}: the daemon's user is no member, so it may not give the socket to this group; make "
-            "the user a member"
-        ) from None
+        problem = f"control.group {group}: the daemon's user is no member, so it may not give the socket to this group"
+        raise ControlError(problem, "make the user a member") from None
 
 
 @contextlib.contextmanager
@@ -177,9 +175,8 @@ def _lock(path: Path) -> Iterator[None]:
     import fcntl  # not on every system that can import this
 
     if len(os.fsencode(path)) > _MAX_PATH_BYTES:
-        raise ControlError(
-            f"{path}: too long for a socket; set control.socket to a path of {_MAX_PATH_BYTES} bytes or less"
-        )
+        hint = f"set control.socket to a path of {_MAX_PATH_BYTES} bytes or less"
+        raise ControlError(f"{path}: too long for a socket", hint)
     folder, file = path.parent, path.with_name(path.name + ".lock")
     with os_errors_as(ControlError, f"{file}: cannot be made", "set control.socket to a path elsewhere"):
         mode = folder.stat().st_mode
@@ -220,9 +217,8 @@ def _remove_stale(path: Path) -> None:
     except ConnectionRefusedError:
         path.unlink(missing_ok=True)
     except OSError as e:
-        raise ControlError(
-            f"{path}: cannot be replaced ({e.strerror or 'no answer'}); set control.socket to a path elsewhere"
-        ) from None
+        problem = f"{path}: cannot be replaced ({e.strerror or 'no answer'})"
+        raise ControlError(problem, "set control.socket to a path elsewhere") from None
 
 
 def _listener_at(path: Path) -> Peer | None:
@@ -236,6 +232,5 @@ def _listener_at(path: Path) -> Peer | None:
 def _in_use_error(path: Path, peer: Peer | None) -> ControlError:
     """Return the error of a path on which another daemon listens."""
     process = "" if peer is None else f" (process {peer.pid})"
-    return ControlError(
-        f"{path}: another daemon listens there{process}; stop it, or set control.socket to another path"
-    )
+    problem = f"{path}: another daemon listens there{process}"
+    return ControlError(problem, "stop it, or set control.socket to another path")

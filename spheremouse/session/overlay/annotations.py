@@ -72,14 +72,11 @@ def of_discs(state: TrackState, tracker: Tracker, interval: float) -> Plain:
     shape, known = expected.shape[expected.whole], np.flatnonzero(expected.whole)
     gate_factor = tracker.filter.gate_radius(state.filter, known, interval) / rig.disc_angle
     gates = _shapes(shape * (gate_factor**2)[:, None, None])
+    detected = _ellipses(centre[which], seen.shape[seen.whole])
+    predicted = _ellipses(expected.centre[expected.whole], shape)
     return {
-        "detected": [
-            {**disc, "used": u} for disc, u in zip(_ellipses(centre[which], seen.shape[seen.whole]), used, strict=True)
-        ],
-        "predicted": [
-            {**disc, "gate": gate}
-            for disc, gate in zip(_ellipses(expected.centre[expected.whole], shape), gates, strict=True)
-        ],
+        "detected": [{**disc, "used": u} for disc, u in zip(detected, used, strict=True)],
+        "predicted": [{**disc, "gate": gate} for disc, gate in zip(predicted, gates, strict=True)],
         "masked": _points(_masked_places(state)),
     }
 

@@ -25,9 +25,9 @@ def canvas_of(image: Image, scale: int) -> Image:
     return np.ascontiguousarray(canvas, dtype=np.uint8)
 
 
-def masked(image: Image, keep: Image | None) -> Image:
-    """Return a copy of an image, (h, w, 3) or (h, w), that is black where `keep`, (h, w), is 0. None keeps all."""
-    return np.asarray(image.copy() if keep is None else cv2.copyTo(image, keep), dtype=np.uint8)
+def masked(image: Image, keep: Image) -> Image:
+    """Return a copy of an image, (h, w, 3) or (h, w), that is black where `keep`, (h, w), is 0."""
+    return np.asarray(cv2.copyTo(image, keep), dtype=np.uint8)
 
 
 def in_blocks(image: Image, keep: Image) -> Image:

@@ -20,10 +20,8 @@ def begin(thread: threading.Thread) -> None:
     try:
         thread.start()
     except RuntimeError:  # CPython raises it for any reason
-        raise ControlError(
-            "the system refuses a new thread, as its limit of tasks is reached; end other programs of this user, or "
-            "raise TasksMax of the unit (`ulimit -u` by hand)"
-        ) from None
+        hint = "end other programs of this user, or raise TasksMax of the unit (`ulimit -u` by hand)"
+        raise ControlError("the system refuses a new thread, as its limit of tasks is reached", hint) from None
 
 
 def as_future(work: Callable[[], T], submit: Callable[[Work], object]) -> Future[T]:

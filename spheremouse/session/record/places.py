@@ -80,7 +80,5 @@ def disk_is_full(folder: Path, settings: RecordSettings, least: float = 0.0) -> 
 def refuse_full_disk(path: Path, settings: RecordSettings, least: float = 0.0) -> None:
     """Raise DatasetError if the disk has no room for `path`. Its folder must exist."""
     if disk_is_full(path.parent, settings, least):
-        raise DatasetError(
-            f"{path}: less than {settings.free_megabytes:g} MB are free on the disk: "
-            "remove recordings that are not needed"
-        )
+        problem = f"{path}: less than {settings.free_megabytes:g} MB are free on the disk"
+        raise DatasetError(f"{problem}: remove recordings that are not needed")

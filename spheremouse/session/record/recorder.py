@@ -47,10 +47,8 @@ class Recorder:
         Call `write` then, in a thread of its own.
         """
         if not settings.everything and not subject.parts:
-            raise DatasetError(
-                "a recording of a hand-held ball needs whole pictures, with the person in them: with consent, give "
-                "--everything, or set record.everything"
-            )
+            problem = "a recording of a hand-held ball needs whole pictures, with the person in them"
+            raise DatasetError(f"{problem}: with consent, give --everything, or set record.everything")
         self._subject, self._settings, self._clock = subject, settings, clock
         self._folder, self._camera_line = folder.absolute(), camera_line
         made_folder(self._folder.parent, DatasetError)
@@ -165,10 +163,8 @@ class Recorder:
         self._film.open(_NOMINAL_FPS)
         self._begun = self._last = looked = self._clock()
         self.open = True
-        limit, seconds = (
-            1e6 * self._settings.megabytes - _MAX_UNWRITTEN_VIDEO_BYTES - self._frame_bytes,
-            self._settings.seconds,
-        )
+        limit = 1e6 * self._settings.megabytes - _MAX_UNWRITTEN_VIDEO_BYTES - self._frame_bytes
+        seconds = self._settings.seconds
         while True:
             try:
                 buffer = self._full.get(timeout=_CHECK_INTERVAL_S)
