@@ -11,14 +11,12 @@ A recording is decoded before it arrives, so that the latency is that beyond dec
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from spheremouse.capture import open_source
 from spheremouse.errors import ControlError
@@ -45,7 +43,7 @@ def megabytes(pid: int, file: str = "status") -> dict[str, float]:
     return {line.split(":")[0]: 1.024e-3 * float(line.split()[1]) for line in lines if line.endswith("kB")}
 
 
-def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dict[str, Any]]:
+def measure(folder: Path, seconds: float, realtime: str) -> list[str]:
     with tempfile.TemporaryDirectory() as name:
         config = Path(name) / "config.yaml"
         config.write_text(f'schema: 2\nrealtime: "{realtime}"\ncontrol: {{socket: {name}/s}}\n')
@@ -71,13 +69,12 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
     with open_source(f"dataset:{folder}") as source:
         fps = source.fps or 30.0
     latency, stages = status["latency_ms"], status["stages_ms"]
-    cells = [
+    return [
         folder.name, f"{fps:g}", pair(latency), pair(stages["detect"]), pair(stages["filter"]),
         f"{0.1 * latency['p50'] * fps:.1f} / {0.1 * latency['p99'] * fps:.1f} %",
         *(f"{100.0 * (b - a) / (last - first[0]):.1f} %" for a, b in zip(first[1], spent, strict=True)),
         f"{mb['Private_Dirty']:.0f}", f"{mb['Rss']:.0f}"
     ]  # fmt: skip
-    return cells, status
 
 
 def pair(ms: dict[str, float]) -> str:
@@ -89,7 +86,6 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="*")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each recording, or to its end")
     parser.add_argument("--realtime", choices=("auto", "off"), default="auto")
-    parser.add_argument("--json", action="store_true", help="the last status of each as well")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folders = given.folder
@@ -100,10 +96,7 @@ def main() -> None:
             subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
         print(f"| {' | '.join(HEAD)} |\n|{' --- |' * len(HEAD)}")
         for folder in folders:
-            cells, status = measure(folder, given.seconds, given.realtime)
-            print("| " + " | ".join(cells) + " |", flush=True)
-            if given.json:
-                print(json.dumps(status))
+            print("| " + " | ".join(measure(folder, given.seconds, given.realtime)) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -352,11 +352,6 @@ class World:
         turns = [log(b @ a.T) for a, b in pairwise(R)]
         return M @ np.sum(turns, axis=0) if turns else np.zeros(3)
 
-    def path(self) -> float:
-        """Counts of one way through the film, along it."""
-        R, M = self.film.attitude, matrix(self.film.rig)
-        return float(sum(np.abs(M @ log(b @ a.T)).sum() for a, b in pairwise(R)))
-
     def check_laws(self) -> None:
         """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
         assert self.daemon is not None

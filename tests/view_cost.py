@@ -1,21 +1,15 @@
-"""Measure the live page: `python -m tests.view_cost [--seconds S] [--connections N] [--rounds N]`.
+"""Measure the live page: `python -m tests.view_cost [--seconds S] [--connections N]`.
 
 A daemon tracks a simulated ball, 640x480 at 60 Hz, from a camera that sends MJPEG. Browsers ask for pictures as fast as
-they get them. The first table has, for each number of them, the pictures a second that each gets, the processor time of
+they get them. The table has, for each number of them, the pictures a second that each gets, the processor time of
 the page process as a part of a core, and its resident memory, with pages of files. Then N connections are opened and
 dropped, every second one without reading. Before, a browser asks for pictures and reads none. Two lines have the time
 until the first picture: after opening, while nobody looks, and after another page process begins to start.
-
-The second table has what the page costs the tracker. Periods with browsers lie between periods without, N of each kind.
-It has the daemon's latency from a frame's arrival to its report, 99 % of a period, the ratio to that of the periods
-before and after, and how much the daemon's memory grows. `--rounds 0` leaves it out; 8 rounds take ten minutes.
 """
 
 import argparse
 import asyncio
 import contextlib
-import itertools
-import json
 import os
 import socket
 import subprocess
@@ -24,7 +18,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 import simplejpeg
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
@@ -35,11 +28,10 @@ from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
 from tests.daemon_latency import megabytes, processor
 from tests.daemon_process import Camera, RawFrame
-from tests.live_cost import RATIO, memory, percentiles, ratio, serve, wait_for_tracking
+from tests.live_cost import serve, wait_for_tracking
 from tests.reporting import free_port
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
-PERIOD = 8.0  # s with or without browsers
 UNREAD = 60.0  # s in which a browser does not read
 QUALITY = 85  # of the camera's MJPEG
 
@@ -77,13 +69,11 @@ class Page:
             time.sleep(0.05)
         self.cookie = f"spheremouse-{self.port}={read_token(file)}"
 
-    def browser(self, *, owner: bool = True, foreign: bool = False) -> connect:
-        """Return a connection of a browser; a foreign one shows a page of another origin."""
-        headers = {"Cookie": self.cookie} if owner else {}
-        address = f"127.0.0.1:{self.port}"
-        origin = "http://foreign.example" if foreign else f"http://{address}"
+    def browser(self, *, owner: bool = True) -> connect:
+        """Return a connection of a browser."""
+        headers, address = {"Cookie": self.cookie} if owner else {}, f"127.0.0.1:{self.port}"
         return connect(
-            f"ws://{address}/live", origin=Origin(origin), additional_headers=headers, max_size=None,
+            f"ws://{address}/live", origin=Origin(f"http://{address}"), additional_headers=headers, max_size=None,
             compression=None, ping_interval=None, close_timeout=0.5,
         )  # fmt: skip
 
@@ -188,77 +178,10 @@ async def table(page: Page, seconds: float, connections: int) -> None:
         print(f"| {name} | {' | '.join(await cells)} |", flush=True)
 
 
-async def slide(page: Page) -> None:
-    """Set a value for ever, 20 times a second, as a slider does; each request waits for the answer before."""
-    async with page.browser() as browser:
-        for k in itertools.count(1):
-            begun, values = time.monotonic(), {"motion.scale_x": 1.0 + 0.1 * (k % 10)}
-            await browser.send(json.dumps({"type": "set", "id": k, "values": values, "gesture": "slide"}))
-            while (answer := json.loads(await browser.recv())).get("id") != k or answer["type"] == "progress":
-                pass
-            assert answer["type"] == "done", answer
-            await asyncio.sleep(max(0.0, begun + 0.05 - time.monotonic()))
-
-
-async def harass(page: Page) -> None:
-    """Open connections for ever and drop them: without the token, of a foreign origin, with garbage, or as an owner."""
-    for k in itertools.count():
-        with contextlib.suppress(OSError, TimeoutError, WebSocketException):
-            async with page.browser(owner=k % 4 != 0, foreign=k % 4 == 1) as browser:
-                await browser.send("garbage" if k % 4 == 2 else '{"type":"next"}')
-                await browser.recv()
-                browser.transport.abort()
-        await asyncio.sleep(0.02)
-
-
-VISITS = {
-    "one owner": lambda page: [watch(page, [], owner=True)],
-    "two owners": lambda page: [watch(page, [], owner=True), watch(page, [], owner=True)],
-    "one owner, `set` 20 times a second": lambda page: [watch(page, [], owner=True), slide(page)],
-    "hostile ones, and one that never reads": lambda page: [harass(page), harass(page), unread(page, UNREAD)],
-}
-
-
-async def visits(page: Page, daemon: int, seconds: float, rounds: int) -> list[tuple[str, float, float, float]]:
-    """Return kind, empty without browsers, begin, end and growth of the daemon's memory, MB, of each period."""
-    periods = []
-    for kind in ("", *(k for _ in range(rounds) for visit in VISITS for k in (visit, ""))):
-        before = most = memory(daemon)
-        tasks = [asyncio.create_task(work) for work in (VISITS[kind](page) if kind else ())]
-        await asyncio.sleep(SETTLE)
-        begun = time.monotonic()
-        while time.monotonic() < begun + seconds:
-            await asyncio.sleep(0.5)
-            most = max(most, memory(daemon))
-        periods.append((kind, begun, time.monotonic(), most - before))
-        assert not any(task.done() for task in tasks), [task.exception() for task in tasks if task.done()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    return periods
-
-
-def print_cost(periods: list[tuple[str, float, float, float]], file: Path) -> None:
-    """Print the table of what the page costs the tracker."""
-    p99 = percentiles(*np.load(file).T, [(begin, end) for _, begin, end, _ in periods])
-    print(f"\n| browsers | 99 % of the tracker's latency | {RATIO} | memory |\n| --- | --- | --- | --- |")
-    for kind in ("", *VISITS):
-        own = [k for k, period in enumerate(periods) if period[0] == kind]
-        grown = max(periods[k][3] for k in own)
-        cells = (
-            kind or "none",
-            f"{np.median([p99[k] for k in own]):.2f} ms",
-            ratio(p99, own) if kind else "1",
-            f"{grown:+.1f} MB",
-        )
-        print(f"| {' | '.join(cells)} |")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each row of the first table")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each row of the table")
     parser.add_argument("--connections", type=int, default=1000)
-    parser.add_argument("--rounds", type=int, default=8, help="of the second table")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
@@ -278,13 +201,10 @@ def main() -> None:
         page = Page(Path(name), path)
         started = time.monotonic() - begun
         print(f"{started + asyncio.run(first_picture(page)):.2f} s after the start of a process")
-        periods = asyncio.run(visits(page, daemon.pid, PERIOD, given.rounds)) if given.rounds else []
         print(f"load {os.getloadavg()[0]:.1f}; {Client(path).status().scheduling}", file=sys.stderr)
         page.process.terminate()
         Client(path).ask("stop")
         daemon.wait(60.0)
-        if periods:
-            print_cost(periods, Path(name) / "times.npy")
 
 
 if __name__ == "__main__":

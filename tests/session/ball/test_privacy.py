@@ -170,17 +170,6 @@ def test_nothing_is_kept_but_ball_targets_and_sixteen_lines(view, size):
     assert np.mean(keep > 0) < np.mean(ball > 0) + 0.15
 
 
-def test_the_noise_is_measured_on_what_is_kept():
-    simulation = prepare(replace(FILMS["play"], seconds=0.1))
-    rig, pose = simulation.scene.rig(), simulation.scene.pose
-    detector = disc_detector(Settings().discs, rig, pose)
-    image = next(iter(simulate(simulation))).frame.image
-    inverted = np.where(
-        recorded_mask(rig, pose, Settings())[..., None] > 0, image, 255 - image
-    )  # anything may be elsewhere
-    assert detector.noise(inverted) == detector.noise(image)
-
-
 def test_places_without_discs_are_kept_all_the_same():
     """A rectangle in which no disc is looked for may be taken away later: the recording must still do."""
     scene = default_scene()
@@ -202,18 +191,3 @@ def test_a_camera_that_looks_away_is_refused():
     away = Pose(scene.pose.rotation @ exp(np.array([0.0, np.pi / 2, 0.0])), scene.pose.position)
     with pytest.raises(PoseError):
         recorded_mask(scene.rig(), away, Settings())
-
-
-@pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3)])
-def test_a_copy_is_black_where_nothing_is_kept(shape):
-    image = np.random.default_rng(0).integers(1, 256, shape, dtype=np.uint8)
-    before = image.copy()
-    keep = np.zeros((48, 64), np.uint8)
-    keep[10:20, 5:60] = 255
-    black = masked(image, keep)
-    assert np.array_equal(black[10:20, 5:60], image[10:20, 5:60])
-    assert np.count_nonzero(black) == image[10:20, 5:60].size
-    whole = masked(image, None)
-    assert np.array_equal(whole, image)
-    whole[:] = black[:] = 7
-    assert np.array_equal(image, before)

@@ -192,20 +192,6 @@ def test_it_listens_on_this_machine_by_default_and_on_ipv6():
             assert get(server)[0] == 200
 
 
-def test_an_error_of_the_status_ends_one_request():
-    statuses = [None]
-
-    def broken():
-        if not statuses:
-            return a_report()
-        statuses.clear()
-        raise ValueError("as if")
-
-    with serve(broken) as server:
-        assert get(server)[0] == 500
-        assert get(server)[0] == 200
-
-
 def test_a_silent_client_delays_no_other():
     with serve(a_report) as server:
         url = urllib.parse.urlsplit(server)

@@ -3,7 +3,6 @@
 import fcntl
 import mmap
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,16 +18,6 @@ from spheremouse.session.control.pictures import LivePicture, PictureReader, Pic
 
 PICTURE = LivePicture(1, 12.5, "yuyv", 4, 2, bytes(range(16)), {"sequence": 7, "outline": [[1.25, -2.0]]})
 SIZE = 200_000  # bytes of a picture, which take longer to copy than to number
-
-
-def numbered(number, size=SIZE):
-    return LivePicture(number, float(number), "grey", number, 1, size * bytes([number % 251]), {"sequence": number})
-
-
-def in_process(code, *files):
-    """Run code in another process, which gets these descriptors as `files`."""
-    words = f"import os, sys, time\nfiles = {[*files]}\n{code}"
-    return subprocess.Popen([sys.executable, "-c", words], pass_fds=files, stdout=subprocess.PIPE)
 
 
 def open_files():
@@ -51,9 +40,11 @@ def test_a_reader_gets_each_picture_as_it_was_written():
 def test_every_picture_is_whole_while_another_process_writes_without_rest():
     """With two slots, the writer overwrites the slot that is being read after one picture more."""
     ring = PictureRing(SIZE + 100, slots=2)
+    memory = ring.duplicate()
     code = f"""
+import time
 from spheremouse.session.control.pictures import PictureReader
-reader, last, read = PictureReader(files[0]), 0, 0
+reader, last, read = PictureReader({memory}), 0, 0
 end = time.monotonic() + 60.0
 while read < 100 and time.monotonic() < end:
     picture = reader.latest(last)
@@ -65,29 +56,16 @@ while read < 100 and time.monotonic() < end:
         last, read = number, read + 1
 print(read)
 """
-    memory = ring.duplicate()
-    with in_process(code, memory) as process:
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, pass_fds=[memory], stdout=subprocess.PIPE) as process:
         number = 0
         while process.poll() is None:
             number += 1
-            ring.write(numbered(number))
+            pixels = SIZE * bytes([number % 251])
+            ring.write(LivePicture(number, float(number), "grey", number, 1, pixels, {"sequence": number}))
         assert int(process.stdout.read()) == 100
     os.close(memory)
     assert number > 100
-
-
-def test_a_reader_that_is_killed_leaves_the_ring_as_it_was():
-    ring, reader_code = PictureRing(SIZE + 100), "from spheremouse.session.control import pictures as p\n"
-    memory = ring.duplicate()
-    code = f"{reader_code}r = p.PictureReader(files[0])\nprint(1, flush=True)\nwhile True: r.latest()"
-    with in_process(code, memory) as process:
-        process.stdout.readline()
-        ring.write(numbered(1))
-        process.send_signal(signal.SIGKILL)
-    reader = PictureReader(memory)
-    for number in range(2, 9):
-        assert ring.write(numbered(number))
-        assert reader.latest() == numbered(number)
 
 
 def test_a_picture_that_does_not_fit_is_not_written():
