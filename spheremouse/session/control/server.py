@@ -6,7 +6,6 @@ the tracker.
 
 import asyncio
 import contextlib
-import socket
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -62,10 +61,6 @@ class ControlServer:
         self._stack = contextlib.ExitStack()
         self._listener = self._stack.enter_context(socket_file.listening(path, settings.group))
         self._loop = asyncio.new_event_loop()
-        self._waking, self._wake = socket.socketpair()  # a third less processor time than `call_soon_threadsafe`
-        for end in (self._waking, self._wake):
-            end.setblocking(False)  # noqa: FBT003  the parameter has no name
-            self._stack.callback(end.close)
         self._ending = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
         try:
@@ -96,8 +91,7 @@ class ControlServer:
             return
         lines, few = json_lines(report), len(subscribers) <= _FEW_SUBSCRIBERS
         if [client for client in subscribers if not client.push_samples(lines, at_once=few)]:
-            with contextlib.suppress(OSError):  # full, so the thread wakes anyway, or closed
-                self._wake.send(b"\0")
+            self._call(self._send_samples)
 
     def close(self) -> None:
         """Send the replies that come within half a second, and remove the socket."""
@@ -119,7 +113,6 @@ class ControlServer:
     async def _serve(self) -> None:
         """Serve clients until the end is requested, and wait shortly for replies under way."""
         self._loop.set_exception_handler(lambda _, context: self._log(f"control: {context['message']}"))
-        self._loop.add_reader(self._waking, self._send_samples)
         server = await asyncio.start_unix_server(
             self._admit, sock=self._listener, limit=protocol.MAX_LINE, backlog=socket_file.BACKLOG
         )
@@ -136,7 +129,6 @@ class ControlServer:
 
     def _send_samples(self) -> None:
         """Have the tasks of the subscribers send the samples that wait."""
-        self._waking.recv(4096)
         for client in self._subscribers:
             client.has_events.set()
 
