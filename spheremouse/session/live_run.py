@@ -119,7 +119,7 @@ class LiveRun:
         )
         if removed := tidy(recordings_folder(plan.configuration.record)):
             self.log(f"record: {removed} half-written by a run that was cut off, removed")
-        self.notifier.ready()
+        self.notifier.send("READY=1")
         self.outputs.begin()
         self._log_left_out(plan)
         if plan.notice:

@@ -48,7 +48,7 @@ class Daemon:
                 parts.begin(partial(command_handler.receive, parts), self.status)
                 self._loop(stopping, parts.start())
         finally:
-            parts.notifier.stopping()
+            parts.notifier.send("STOPPING=1")
             parts.close()
 
     def status(self) -> StatusReport:

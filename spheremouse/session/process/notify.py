@@ -30,26 +30,18 @@ class Notifier:
         notifier = sdnotify.SystemdNotifier()
         if notifier.socket is not None:  # a manager that does not read must not block: messages are dropped
             notifier.socket.setblocking(False)  # noqa: FBT003  the parameter has no name
-        self._send: Callable[[str], Any] = notifier.notify
+        self.send: Callable[[str], Any] = notifier.notify  # READY=1 and the like
         self._clock, self.interval = clock, _interval()
         self._token: Any = None
         self._due = -math.inf
         self._status = ""
-
-    def ready(self) -> None:
-        """Notify that the daemon answers requests."""
-        self._send("READY=1")
-
-    def stopping(self) -> None:
-        """Notify that the daemon stops."""
-        self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
         """Send the status in one line, if it has changed."""
         text = " ".join(text.split())  # a line of its own would be an order of its own
         if text != self._status:
             self._status = text
-            self._send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
+            self.send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
 
     def progress(self, token: Any) -> None:
         """Feed the watchdog if the token has changed since the last feed, at most four times an interval."""
@@ -58,4 +50,4 @@ class Notifier:
             return
         self._token, self._due = token, now + 0.25 * self.interval
         if self.interval < math.inf:
-            self._send("WATCHDOG=1")
+            self.send("WATCHDOG=1")

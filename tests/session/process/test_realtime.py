@@ -182,11 +182,11 @@ def manager(tmp_path, monkeypatch):
 
 def test_ready_status_and_end(manager):
     notifier = Notifier()
-    notifier.ready()
+    notifier.send("READY=1")
     notifier.status("tracking: all is well; 30 frames/s")
     notifier.status("tracking: all is well; 30 frames/s")
     notifier.status("no-camera: it said\nREADY=0")
-    notifier.stopping()
+    notifier.send("STOPPING=1")
     assert manager.heard() == [
         "READY=1",
         "STATUS=tracking: all is well; 30 frames/s",
@@ -230,9 +230,9 @@ def test_nobody_listens(monkeypatch, tmp_path):
     for path in (None, str(tmp_path / "nothing")):
         monkeypatch.setenv("NOTIFY_SOCKET", path) if path else monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
         notifier = Notifier()
-        notifier.ready()
+        notifier.send("READY=1")
         notifier.status("x")
-        notifier.stopping()
+        notifier.send("STOPPING=1")
 
 
 def test_a_manager_that_does_not_listen_holds_nobody_up(manager):
