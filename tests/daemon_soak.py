@@ -18,6 +18,7 @@ import ctypes
 import gc
 import os
 import resource
+import shutil
 import sys
 import tempfile
 import threading
@@ -355,7 +356,7 @@ class Somebody(threading.Thread):
                     if always or rng.random() < 0.1:
                         c.ask("record", seconds=30, folder="r")
                         self.over.wait(0.1)
-                        _remove(Path(c.ask("record", stop=True)["folder"]))
+                        shutil.rmtree(c.ask("record", stop=True)["folder"])
                 case _:
                     c.ask(kind)
         except ControlError:
@@ -366,12 +367,6 @@ class Somebody(threading.Thread):
         folder, config = self._cabinet.folder, self._cabinet.config
         os.link(folder / name, folder / "new.yaml")
         os.replace(folder / "new.yaml", config)
-
-
-def _remove(folder: Path) -> None:
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.unlink() if path.is_file() else path.rmdir()
-    folder.rmdir()
 
 
 def soak(days: float, seed: int) -> list[str]:
@@ -403,7 +398,8 @@ def soak(days: float, seed: int) -> list[str]:
             if cabinet.error is not None:
                 raise cabinet.error
             if somebody.warm.is_set():
-                figures.append(Figure(cabinet.days, memory_in_use(), threading.active_count(), _files()))
+                files = len(os.listdir("/proc/self/fd"))
+                figures.append(Figure(cabinet.days, memory_in_use(), threading.active_count(), files))
         seconds = time.monotonic() - begun
         somebody.over.set()
         somebody.join(60.0)
@@ -493,11 +489,6 @@ class _Last(list[str]):
     def append(self, text: str) -> None:
         super().append(text)
         del self[:-50]
-
-
-def _files() -> int:
-    folder = Path("/proc/self/fd")
-    return len(list(folder.iterdir())) if folder.exists() else 0
 
 
 def main() -> int:

@@ -28,18 +28,13 @@ def describe_run(plan: RunConfig, source: str = "") -> dict[str, Any]:
         "map": None if plan.map_path is None else str(plan.map_path.absolute()),
         "source": {"spec": plan.source, "description": source, "recording": _recording(plan.source)},
         "outputs": list(plan.outputs),
-        "versions": versions(),
-    }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this program, of what computes for it, and of the system."""
-    return {
-        "spheremouse": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "opencv": cv2.__version__,
-        "system": platform.platform(),
+        "versions": {
+            "spheremouse": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "opencv": cv2.__version__,
+            "system": platform.platform(),
+        },
     }
 
 

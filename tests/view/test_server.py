@@ -109,25 +109,22 @@ class Browser:
     def __exit__(self, *_):
         self._connection.__exit__(None, None, None)
 
-    def until(self, kind, condition=lambda m: True):
-        """The next message of a kind for which the condition holds."""
+    def _next(self, what, condition):
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            received = self.socket.recv(timeout=PATIENCE)
-            message = read(received)
-            self.seen.append(message)
-            if message["type"] == kind and condition(message):
-                return message
-        raise AssertionError(f"no {kind}: {[m['type'] for m in self.seen]}")
+            self.seen.append(read(self.socket.recv(timeout=PATIENCE)))
+            if condition(self.seen[-1]):
+                return self.seen[-1]
+        raise AssertionError(f"no {what}: {[m['type'] for m in self.seen]}")
+
+    def until(self, kind, condition=lambda m: True):
+        """The next message of a kind for which the condition holds."""
+        return self._next(kind, lambda m: m["type"] == kind and condition(m))
 
     def ask(self, type_, **words):
         self._id += 1
         self.socket.send(json.dumps({"type": type_, "id": self._id, **words}))
-        while True:
-            message = read(self.socket.recv(timeout=PATIENCE))
-            self.seen.append(message)
-            if message.get("id") == self._id and message["type"] != "progress":
-                return message
+        return self._next("answer", lambda m: m.get("id") == self._id and m["type"] != "progress")
 
     def frame(self):
         self.socket.send('{"type":"next"}')

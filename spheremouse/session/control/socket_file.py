@@ -117,7 +117,6 @@ class Peer(NamedTuple):
 
     pid: int
     uid: int
-    gid: int
 
 
 def peer_of(connection: socket.socket) -> Peer | None:
@@ -125,7 +124,8 @@ def peer_of(connection: socket.socket) -> Peer | None:
     if not hasattr(socket, "SO_PEERCRED"):
         return None
     size = struct.calcsize("iII")
-    return Peer(*struct.unpack("iII", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)))
+    pid, uid, _ = struct.unpack("iII", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
+    return Peer(pid, uid)
 
 
 @contextlib.contextmanager

@@ -150,6 +150,8 @@ def test_an_error_of_the_daemon_is_an_error_of_one_request(serve, path):
     def handle(pending):
         if pending.request.command == "reload":
             raise ControlError("a.yaml:1: wrong\na.yaml:2: wrong too")
+        if pending.request.command == "pause":
+            raise OSError("no disk")
         if pending.request.command == "snapshot":
             pending.answer({"file": MAX_LINE * "x"})
             return
@@ -158,6 +160,7 @@ def test_an_error_of_the_daemon_is_an_error_of_one_request(serve, path):
     serve(handle, log=lines)
     wire = Wire(path)
     assert wire.ask('{"command": "reload"}\n') == {"ok": False, "error": "a.yaml:1: wrong; a.yaml:2: wrong too"}
+    assert wire.ask('{"command": "pause"}\n') == {"ok": False, "error": "no disk"}
     expected = "internal error (ZeroDivisionError: a slip); please report it"
     assert wire.ask('{"command": "reinit"}\n') == {"ok": False, "error": expected}
     assert lines == [f"control: reinit: {expected}"]
@@ -380,7 +383,7 @@ def test_a_client_without_a_request_is_dropped(serve, path, piece):
 
 
 def as_peer(monkeypatch, uid):
-    monkeypatch.setattr(socket_file, "peer_of", lambda connection: Peer(4711, uid, uid))
+    monkeypatch.setattr(socket_file, "peer_of", lambda connection: Peer(4711, uid))
 
 
 def test_another_user_gets_one_line_and_nothing_else(serve, path, monkeypatch):
