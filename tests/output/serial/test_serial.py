@@ -301,16 +301,9 @@ def test_a_board_of_another_version(version, advice):
 # ---- which port ----
 
 
-def port(device, product: Any = "", ids=(0x239A, 0x80F4), serial: Any = "E660", interface=None, location=None):
-    return SimpleNamespace(
-        device=device,
-        product=product,
-        vid=ids[0],
-        pid=ids[1],
-        serial_number=serial,
-        interface=interface,
-        location=location,
-    )
+def port(device, product: Any = "", ids=(0x239A, 0x80F4), serial: Any = "E660", **more):
+    place = {"interface": None, "location": None} | more
+    return SimpleNamespace(device=device, product=product, vid=ids[0], pid=ids[1], serial_number=serial, **place)
 
 
 def ours(device, serial="S1", **more):
