@@ -69,7 +69,8 @@ def find_ball(
     CalibrationError if no five points lie on a sphere.
     """
     points = _meeting_points(spots, poses, camera, disc_radius, tolerance)
-    points = _firmest(points.take(_disc_like(points)))
+    points = points.take(_disc_like(points))
+    points = points.take(np.sort(np.argsort(-points.support, kind="stable")[:_MAX_POINTS]))  # those in most photos
     if len(points.position) < 5:
         raise CalibrationError(
             f"{len(points.position)} dark spots are seen alike in several photos, at least 5 discs are needed: is the "
@@ -210,11 +211,6 @@ def _disc_like(points: _Points) -> NDArray[np.bool_]:
         # photos from two directions leave one component of the normal open
         fine[i] = size < _AREA_FACTOR and (rank < 3 or size > 1.0 / _AREA_FACTOR)
     return fine
-
-
-def _firmest(points: _Points) -> _Points:
-    """The points that most photos see, if there are too many."""
-    return points.take(np.sort(np.argsort(-points.support, kind="stable")[:_MAX_POINTS]))
 
 
 def has_wide_rays(poses: Sequence[Pose], points: Array) -> bool:

@@ -27,6 +27,7 @@ from spheremouse.calibrate.photos import BOARD_ENOUGH, BOARD_MOST, DEVICE_ENOUGH
 from spheremouse.errors import CalibrationError, ConfigurationError, format_count
 from spheremouse.files.calibration_folder import DEFAULT
 from spheremouse.files.device import UNTOUCHED, is_untouched, load_device
+from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.yaml import shown
 
 State = Literal["done", "too few", "not needed", "next", "later"]
@@ -84,7 +85,8 @@ def checklist(folder: Path, services: Sequence[Path] | None = None) -> list[Step
 
 def _steps(folder: Path, services: Sequence[Path]) -> Iterator[Step]:
     """All steps with their tasks. One that a later file makes unnecessary is `overtaken`."""
-    camera, rig = cabinet.read_camera(folder), cabinet.read_rig(folder)
+    camera = cabinet.read_result(folder / CAMERA_FILE, load_camera)
+    rig = cabinet.read_result(folder / RIG_FILE, load_rig)
     have_rig = rig is not None and not rig.problem
     have_camera = camera is not None and not camera.problem
     board = cabinet.read_photo_folder(folder / cabinet.BOARD)

@@ -100,17 +100,7 @@ def read_photo_folder(folder: Path, camera_path: Path | None = None) -> Photos:
     return Photos(folder, tuple(photos))
 
 
-def read_camera(folder: Path) -> Result | None:
-    """Read the camera file; None if there is none."""
-    return _result(folder / CAMERA_FILE, load_camera)
-
-
-def read_rig(folder: Path) -> Result | None:
-    """Read the rig file; None if there is none."""
-    return _result(folder / RIG_FILE, load_rig)
-
-
-def _result(path: Path, load: Callable[[Path], InteriorOrientation | Rig]) -> Result | None:
+def read_result(path: Path, load: Callable[[Path], InteriorOrientation | Rig]) -> Result | None:
     """Return a calibration's file with its content in words, or with its problem; None if it is missing."""
     if not path.exists():
         return None
@@ -225,7 +215,7 @@ def _unless_default(folder: Path) -> list[Path]:
 
 def _source(folder: Path) -> str:
     """Return the camera that took the photos, in the calibrated mode."""
-    camera, source = read_camera(folder), _config_or_empty(folder).get("source")
+    camera, source = read_result(folder / CAMERA_FILE, load_camera), _config_or_empty(folder).get("source")
     return in_size(source if isinstance(source, str) else default_camera(), None if camera is None else camera.size)
 
 
