@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from spheremouse.calibrate.camera.bundle import (
@@ -50,7 +51,6 @@ _MIN_BOARD_ANGLE = float(np.radians(6.0))  # between boards; it shortens squares
 _FOCALS = np.geomspace(0.4, 20.0, 14)  # focal lengths over the longer side of the picture, to start from
 _SUBSETS, _SUBSET_VIEWS = 12, 5  # calibrations from a few views, if all together do not agree
 _SIGNIFICANCE = 0.01  # chance of a contradiction between views that agree
-_MONTE_CARLO_DRAWS = 1000
 _MAX_ROUNDS = 6  # of removing false corners and estimating variances
 
 
@@ -291,30 +291,22 @@ def contradiction(N: Array, g: Array, prior: Array) -> float:
     `N` (v, k, k) and `g` (v, k) are the views' normal matrices and gradients at the minimum, at unit variance. `prior`
     (k, k) is the normal matrix of the shape's observations. Errors within a view may be correlated, for example on a
     board that bends as it is held. Then the camera without one view scatters more than independent errors explain. A
-    jackknife over views measures this scatter; random draws give the expected one.
+    jackknife over views measures this scatter, a quadratic form of the gradients. The first two moments of such forms
+    give its expectation and the test (Satterthwaite 1946).
     """
-    k = N.shape[1]
+    v, k = g.shape
     scale = 1.0 / np.sqrt(np.diagonal(np.sum(N, axis=0) + prior))
-    normals, gradient, known = N * np.outer(scale, scale), g * scale, prior * np.outer(scale, scale)
-    total = normals.sum(axis=0) + known
+    normals, gradient = N * np.outer(scale, scale), g * scale
+    total = normals.sum(axis=0) + prior * np.outer(scale, scale)
     try:
         without = np.linalg.inv(total - normals)
     except np.linalg.LinAlgError:  # the other views do not determine the camera
         return 1.0
-    rng = np.random.default_rng(0)
-    value, vector = np.linalg.eigh(normals)
-    root = vector * np.sqrt(np.maximum(value, 0.0))[:, None]
-    drawn = np.einsum("vij,dvj->dvi", root, rng.standard_normal((_MONTE_CARLO_DRAWS, len(normals), k)))
-    by_prior = rng.standard_normal((_MONTE_CARLO_DRAWS, k)) * np.sqrt(np.diagonal(known))  # it is diagonal
-    common = np.linalg.solve(total, (drawn.sum(axis=1) + by_prior).T).T
-    drawn -= np.einsum("vij,dj->dvi", normals, common)
-    expected = _scatter(drawn, without, total)
-    found = _scatter(gradient[None], without, total)[0]
-    significant = float(np.mean(expected >= found)) < _SIGNIFICANCE
-    return float(max(1.0, found / np.mean(expected))) if significant else 1.0
-
-
-def _scatter(gradients: Array, without: Array, total: Array) -> Array:
-    """Sum over views of the squared change, in standard deviations, without each view, (d,)."""
-    change = np.einsum("vij,dvj->dvi", without, gradients)
-    return np.einsum("dvi,ij,dvj->d", change, total, change)
+    change = np.einsum("vij,vj->vi", without, gradient)
+    found = float(np.einsum("vi,ij,vj->", change, total, change))
+    flat = normals.reshape(v * k, k)
+    covariance = block_diag(*normals) - flat @ np.linalg.solve(total, flat.T)  # of the gradients
+    form = block_diag(*(without @ total @ without)) @ covariance
+    expected, half_variance = float(np.trace(form)), float(np.einsum("ij,ji->", form, form))
+    significant = chi2.sf(found * expected / half_variance, expected**2 / half_variance) < _SIGNIFICANCE
+    return max(1.0, found / expected) if significant else 1.0
