@@ -128,6 +128,7 @@ class OutlineCheck(NamedTuple):
     seen: SeenCentre | None = None  # in the last frame, if it was measured
     measured: float = -np.inf  # s, stamp of the frame in which it was measured last
     first: SeenCentre | None = None  # in the first frame; None after the centre moved before it proved its place
+    attitude: Array = np.eye(3)  # (3, 3) R_obj_ball in the first frame
     trust: Array | None = None  # (240,) in the edges of its normals, by the first frame (`outline.SeenBall`)
     size_sigma: float = np.inf  # relative standard deviation of the rig's radius, as the first frame confirmed it
     away: int = 0  # frames in a row in which the outline was far from its first place
@@ -153,7 +154,9 @@ class OutlineCheck(NamedTuple):
 
     def again(self, first: SeenCentre | None) -> "OutlineCheck":
         """Return a new check from the place `first`, at the same pose."""
-        return OutlineCheck(begun=True, first=first, trust=self.trust, size_sigma=self.size_sigma)
+        return OutlineCheck(begun=True, trust=self.trust, size_sigma=self.size_sigma)._replace(
+            first=first, attitude=self.attitude
+        )
 
 
 class Tracking(NamedTuple):

@@ -256,7 +256,7 @@ def advance(
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
     which = None if free.all() else np.flatnonzero(free)
-    points = intersect(detections, tracker.rig, tracker.pose, carried.rig_error, which)
+    points = intersect(detections, tracker.rig, tracker.pose, carried.seen_rig, which)
     state = state._replace(
         lookalikes=lookalikes,
         detections=detections,

@@ -307,7 +307,7 @@ def follow_discs(
 # SpherePoints.measurement, and `activity` a so3_settings.Activity. The matrix `added`, (9, 9), is process noise that
 # the covariance does not include yet.
 
-_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Float, int, bool, int]
+_Body = tuple[_Float, _Float, _Float, _Float, _Float, _Float, float, _Float, int, bool, int, _Float]
 _Points = tuple[_Float, _Float, _Float, _Float, _Float, float, _Float]
 _Innovation = tuple[_Float, _Float, _Float, _Float]
 _Modes = tuple[_Float, _Float, _Float]
@@ -316,9 +316,8 @@ _Sightings = tuple[_Index, _Index, _Float]
 _Activity = tuple[float, float, float, _Float, _Float, _Float]
 _Motion = tuple[_Float, _Float, _Float, _Float, _Float]  # attitude, rate, acceleration, landmarks, their axes
 _Camera = tuple[_Float, float]  # unit vector to the camera, obj, and the least cosine with it of a disc that it sees
-_Figures = tuple[
-    float, float, float, _Float
-]  # rms level of the steps, normalised innovation squared, readout, rig_error
+# rms level of the steps, normalised innovation squared, readout, rig_error, eccentricity
+_Figures = tuple[float, float, float, _Float, _Float]
 _Corrected = tuple[_Motion, _Float, _Float, _Figures, _Modes | None]  # with joint and weights
 _Pairs = tuple[_Index, _Index, bool, float]  # as `so3.Pairing`
 _Counted = tuple[_Sightings, NDArray[np.bool_], int, float]
@@ -395,8 +394,8 @@ def update_by_frame(
     points pair, and all their discs are known so well that chance explains none. Errors are those of `correct`.
     """
 
-def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float]:
-    """Return the motion, the covariance, and the readout, s, of a state moved by an error vector, (23 + 2m,).
+def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float, _Float]:
+    """Return motion, covariance, readout, s, rig error and eccentricity of a state moved by errors, (23 + 2m,).
 
     The covariance, (23 + 2m, 23 + 2m), is that of the errors about the moved state.
     """

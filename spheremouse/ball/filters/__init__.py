@@ -68,6 +68,11 @@ class FilterState(Protocol):
         ...
 
     @property
+    def seen_rig(self) -> Array:
+        """(4,) that error at this attitude."""
+        ...
+
+    @property
     def centre_noise(self) -> float:
         """m²/s per axis, by which the centre moves at random; 0 in a good bearing."""
         ...

@@ -21,7 +21,8 @@ struct Body {
     View<Dynamic, 6> basis;  // rows of (3, 2)
     View<> P;
     double readout;       // s, by which the rolling shutter takes longer than the rig says
-    Vector<RIG_DIM> rig;  // relative error of the focal length, and the ball's centre from its calibrated place, m
+    Vector<RIG_DIM> rig;  // relative error of the focal length, and the point that the ball turns about, m, obj
+    Vector<3> eccentricity;  // from that point to the ball's centre, m, ball
     int known;            // discs; the others are candidates, which no point corrects
     bool holds;           // `rig` as it is
     int others;           // cameras that do not show this frame
@@ -31,6 +32,13 @@ struct Body {
     /// The rows of P with the errors of the readout and of the first disc.
     int readout_row() const { return READOUT + VIEW * others; }
     int map_row() const { return readout_row() + 1; }
+
+    /// The rig that the frame shows: its centre is that of the ball.
+    Vector<RIG_DIM> seen_rig() const {
+        Vector<RIG_DIM> seen = rig;
+        seen.tail<3>() += attitude * eccentricity;
+        return seen;
+    }
 
     /// The turn from the stamp to `delay`, s, after it.
     Vector<3> turn(double delay) const { return rate * delay + 0.5 * acceleration * delay * delay; }
@@ -73,7 +81,7 @@ struct Place {
 
 constexpr int FIXED = MAP_OFFSET;  // errors on which the place of a disc depends, besides its own
 
-/// Return d z / d (rotation, rate, acceleration, rig, axes, readout) of the point i.
+/// Return d z / d (rotation, rate, acceleration, eccentricity, rig, axes, readout) of the point i.
 Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const Place& place);
 
 /// Return the columns of A, (m, n), of the errors in the order of the Jacobian.
@@ -119,6 +127,7 @@ struct Moved {
     Dense P;  // of the errors about the moved state
     double readout;
     Vector<RIG_DIM> rig;
+    Vector<3> eccentricity;
     int known;
     bool holds;
     int others;

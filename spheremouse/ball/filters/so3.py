@@ -5,7 +5,7 @@ errors in `obj`) with an angular acceleration that lasts until the hand changes 
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
 stays known and closes the loop. The camera's axes, wrong in every frame alike, are considered, not estimated (Schmidt
 1966). So are focal length and the ball's centre while they are known well and the ball rests in its place. A centre
-that moves, and lengths that a tape measured, are estimated.
+that moves, and lengths that a tape measured, are estimated. `so3_eccentric` has a ball that is not centred.
 """
 
 import math
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters.so3_eccentric import ROUND_SIGMA
 from spheremouse.ball.filters.so3_map import augment, drop, promote, with_candidates, without_candidates
 from spheremouse.ball.filters.so3_motion import (
     CLONE_DIM,
@@ -34,6 +35,7 @@ from spheremouse.ball.filters.so3_settings import (
 )
 from spheremouse.ball.filters.so3_state import (
     COMMON,
+    ECCENTRICITY,
     RIG,
     WANDER_S,
     So3State,
@@ -91,6 +93,7 @@ class So3Filter:
         joint = np.zeros((MAP_OFFSET + CLONE_DIM, MAP_OFFSET + CLONE_DIM))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(self.settings) ** 2 * np.eye(3)
+        joint[ECCENTRICITY, ECCENTRICITY] = (ROUND_SIGMA * self.station.radius) ** 2 * np.eye(3)
         state = So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
         return self.with_station(state)
 
@@ -137,6 +140,7 @@ class So3Filter:
             process,
             readout=state.readout,
             rig_error=state.rig_error,
+            eccentricity=state.eccentricity,
             centre_noise=state.centre_noise,
             holds_rig=bool(known and state.centre_noise == 0.0),
             interval=interval,
@@ -199,7 +203,10 @@ class So3Filter:
 
         `size_sigma` is as in `with_rig_uncertainty`.
         """
-        return bool(state.centre @ state.centre > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:]))
+        return bool(
+            state.rig_error[1:] @ state.rig_error[1:]
+            > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:])
+        )
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""

@@ -151,6 +151,7 @@ Matrix<2, FIXED> jacobian(const Body& body, const Points& points, int i, const P
     }
     J.middleCols<3>(AXES) = -place.H;  // a turn of the axes moves the direction of the point
     J.middleCols<RIG_DIM>(RIG) = -place.E.transpose() * points.by_rig(i);
+    J.middleCols<3>(ECCENTRICITY) = J.middleCols<3>(RIG + 1) * body.attitude;
     J.col(READOUT) = place.H * body.rate * points.row(i);
     return J;
 }
@@ -162,17 +163,17 @@ Matrix<Dynamic, FIXED> fixed_columns(const Dense& A, const Body& body) {
 }
 
 Body read_body(nb::tuple body) {
-    members(body, 11, "body");
+    members(body, 12, "body");
     Body r{matrix<3, 3>(body[0], "attitude"),    vector<3>(body[1], "rate"),       vector<3>(body[2], "acceleration"),
            matrix<Dynamic, 3>(body[3], "discs"), matrices<3, 2>(body[4], "basis"), matrix(body[5], "joint"),
-           number<double>(body[6], "body"),      vector<RIG_DIM>(body[7], "rig"),  number<int>(body[8], "body"),
-           number<int>(body[9], "body") != 0,    number<int>(body[10], "body")};
+           number<double>(body[6], "body"),      vector<RIG_DIM>(body[7], "rig"),  vector<3>(body[11], "eccentricity"),
+           number<int>(body[8], "body"), number<int>(body[9], "body") != 0,    number<int>(body[10], "body")};
     if (r.others < 0 || r.others > MOST_OTHERS) throw nb::type_error("others: must be at least 0, and few");
     const nb::ssize_t m = r.discs.rows(), n = r.map_row() + 2 * m + CLONE;
     if (r.basis.rows() != m) throw nb::type_error("basis: must have the length of discs");
     if (r.known < 0 || r.known > m) throw nb::type_error("known: must be at most the length of discs");
     if (r.P.rows() != n || r.P.cols() != n)
-        throw nb::type_error("joint: must be square, with 20 rows, 8 for each other camera and two for each disc");
+        throw nb::type_error("joint: must be square, with 23 rows, 8 for each other camera and two for each disc");
     return r;
 }
 
@@ -194,7 +195,7 @@ Points read_points(nb::tuple points) {
 Points read_points(nb::tuple points, const Body& body) {
     Points r = read_points(points);
     if (body.readout != 0.0) r.delay += body.readout * r.row;
-    const Vector<RIG_DIM> change = body.rig - r.rig;
+    const Vector<RIG_DIM> change = body.seen_rig() - r.rig;
     if (change.squaredNorm() > 0.0)
         for (int i = 0; i < r.size(); i++)
             r.direction.row(i) = (r.direction.row(i).transpose() + r.by_rig(i) * change).normalized();

@@ -2,7 +2,8 @@
 
 The errors have this order:
 - rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²),
-- the rig: the focal length (1, relative), and the ball's centre at that focal length (3, m, obj),
+- the eccentricity: the ball's centre from the point that it turns about (3, m, ball),
+- the rig: the focal length (1, relative), and that point at that focal length (3, m, obj),
 - the axes of obj (3, rad), which are considered,
 - rig, axes and rolling shutter of each other camera (8), which are considered while it shows no frame,
 - the rolling shutter's time (s),
@@ -13,8 +14,9 @@ The errors have this order:
 import math
 
 KINEMATIC_DIM = 9  # rotation, rate, acceleration
+RIG_ROW = KINEMATIC_DIM + 3  # of the rig, after the eccentricity
 RIG_DIM = 4  # focal length and centre
-AXES = KINEMATIC_DIM + RIG_DIM  # of obj, after the rig
+AXES = RIG_ROW + RIG_DIM  # of obj, after the rig
 READOUT = AXES + 3  # of the rolling shutter of one camera; the errors of others come before it
 MAP_OFFSET = READOUT + 1  # of the discs' errors with one camera
 CAMERA_DIM = 8  # of another camera: rig, axes, readout

@@ -76,6 +76,7 @@ Moved move(const Body& body, const Each& dx, Dense P, Each* error) {
             std::move(P),
             body.readout + dx(body.readout_row()),
             body.rig + dx.segment<RIG_DIM>(RIG),
+            body.eccentricity + dx.segment<3>(ECCENTRICITY),
             body.known,
             body.holds,
             body.others};
@@ -101,6 +102,7 @@ Body Moved::body() const {
             View<>(P.data(), P.rows(), P.cols()),
             readout,
             rig,
+            eccentricity,
             known,
             holds,
             others};
@@ -120,7 +122,8 @@ nb::tuple move_(nb::tuple body_, nb::handle dx_) {
     const auto dx = vector(dx_, "dx");
     if (dx.size() != body.P.rows()) throw nb::type_error("dx: must have the rows of joint");
     const Moved moved = move(body, dx, body.P);
-    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout, to_numpy(moved.rig));
+    return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), moved.readout, to_numpy(moved.rig),
+                          to_numpy(moved.eccentricity));
 }
 
 }  // namespace

@@ -17,6 +17,7 @@ from spheremouse.ball.filters.so3_motion import (
     MAP_OFFSET,
     READOUT,
     RIG_DIM,
+    RIG_ROW,
 )
 from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
@@ -26,9 +27,10 @@ from spheremouse.native import kernels
 PLACED = kernels.PLACED  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _FALSE_TURN_S = 0.1  # s, in which a camera moves before its targets show it
 WANDER_S = 0.25  # s, after which a centre that moves is as likely to come back as to move on
-RIG = slice(KINEMATIC_DIM, AXES)  # errors of focal length and centre
-CENTRE = slice(KINEMATIC_DIM + 1, AXES)  # errors of the centre
-COMMON = slice(KINEMATIC_DIM, READOUT)  # errors of rig and axes
+ECCENTRICITY = slice(KINEMATIC_DIM, RIG_ROW)
+RIG = slice(RIG_ROW, AXES)  # errors of focal length and centre
+CENTRE = slice(RIG_ROW + 1, AXES)  # errors of the centre
+COMMON = slice(RIG_ROW, READOUT)  # errors of rig and axes
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_PROCESS = np.zeros((KINEMATIC_DIM, KINEMATIC_DIM))
 
@@ -56,7 +58,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
     basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
-    joint: Array  # (20 + 8p + 2l, 20 + 8p + 2l) of the errors in the order of `so3_motion`, with p other cameras
+    joint: Array  # (23 + 8p + 2l, 23 + 8p + 2l) of the errors in the order of `so3_motion`, with p other cameras
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
@@ -67,6 +69,7 @@ class So3State:
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
     rig_error: Array = field(default_factory=lambda: np.zeros(RIG_DIM))  # (4,) of focal length and centre
+    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, ball, of the centre
     centre_noise: float = 0.0  # m²/s per axis, by which the centre moves at random; 0 in a good bearing
     holds_rig: bool = False  # no update changes `rig_error`
     known_seen: int = 0  # discs beyond their trial that took part in the last update
@@ -79,7 +82,14 @@ class So3State:
     @property
     def centre(self) -> Array:
         """(3,) m, obj, of the ball from its calibrated place."""
-        return self.rig_error[1:]
+        return self.seen_rig[1:]
+
+    @property
+    def seen_rig(self) -> Array:
+        """(4,) error of focal length and centre, as `SpherePoints` has it, at this attitude."""
+        seen = self.rig_error.copy()
+        seen[1:] += self.attitude @ self.eccentricity
+        return seen
 
     @property
     def map_row(self) -> int:
@@ -110,7 +120,7 @@ class So3State:
         return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
-    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int, bool, int]:
+    def body(self) -> tuple[Array, Array, Array, Array, Array, Array, float, Array, int, bool, int, Array]:
         """The fields that predict where the camera sees each landmark, as `kernels` takes them."""
         motion = self.attitude, self.rate, self.acceleration
         known = len(self.landmarks) - len(self.candidates)
@@ -124,6 +134,7 @@ class So3State:
             known,
             self.holds_rig,
             len(self.others),
+            self.eccentricity,
         )
 
     @property
@@ -189,6 +200,7 @@ class So3State:
             self.nis,
             self.readout,
             self.rig_error,
+            self.eccentricity,
             self.centre_noise,
             self.holds_rig,
             self.known_seen,
@@ -225,7 +237,7 @@ class So3State:
         correct the new one.
         """
         n, hidden, k = self.map_row - 1, np.full(len(self.discs), HIDDEN_SHARE), len(prior) - CAMERA_DIM
-        present = np.r_[KINEMATIC_DIM:READOUT, n, READOUT:n]
+        present = np.r_[RIG_ROW:READOUT, n, READOUT:n]
         G = prior[k:, :k] @ np.linalg.pinv(prior[:k, :k], hermitian=True)
         known = G @ (self.joint[np.ix_(present, present)] - prior[:k, :k]) @ G.T
         cross = self.joint[:, present] @ G.T
@@ -241,7 +253,7 @@ class So3State:
         """Return the state for a frame of the camera `which` of the others; the present one takes its place there."""
         other = self.others[which]
         theirs = READOUT + CAMERA_DIM * which + np.arange(CAMERA_DIM)
-        ours, order = np.r_[KINEMATIC_DIM:READOUT, self.map_row - 1], np.arange(len(self.joint))
+        ours, order = np.r_[RIG_ROW:READOUT, self.map_row - 1], np.arange(len(self.joint))
         order[ours], order[theirs] = theirs, ours
         others = list(self.others)
         others[which] = OtherCamera(self.rig_error, self.readout, self.hidden)
@@ -277,13 +289,13 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (24 + 2m,); then no prediction is pending.
+    """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
 
-    `joint` (24 + 2m, 24 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
+    `joint` (23 + 2m, 23 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
     the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
     """
     body = state.body if joint is None else (*state.body[:5], joint, *state.body[6:])
-    motion, moved, readout, rig_error = kernels.move(body, dx)
+    motion, moved, readout, rig_error, eccentricity = kernels.move(body, dx)
     return So3State(
         state.stamp,
         *motion,
@@ -296,6 +308,7 @@ def inject(
         nis,
         readout,
         rig_error,
+        eccentricity,
         state.centre_noise,
         state.holds_rig,
         candidates=state.candidates,
@@ -334,18 +347,19 @@ def with_seen_centre(state: So3State, place: Array, axes: Array, covariance: Arr
 
     Rate and acceleration keep their values, since the pending modes describe them.
     """
-    P, C = state.joint, state.joint[:, CENTRE] @ axes
-    S = axes.T @ C[CENTRE] + covariance
+    P = state.joint
+    C = P[:, CENTRE] @ axes + P[:, ECCENTRICITY] @ state.attitude.T @ axes
+    S = axes.T @ (C[CENTRE] + state.attitude @ C[ECCENTRICITY]) + covariance
     K = np.linalg.solve(S, C.T).T
     K[3:KINEMATIC_DIM] = 0.0
     reduced = K @ C.T
     joint = P - reduced - reduced.T + K @ S @ K.T
-    motion, joint, readout, rig_error = kernels.move(
+    motion, joint, readout, rig_error, eccentricity = kernels.move(
         (*state.body[:5], joint, *state.body[6:]), K @ (place - axes.T @ state.centre)
     )
     attitude, _, _, landmarks, basis = motion
     fields = {"attitude": attitude, "landmarks": landmarks, "basis": basis, "joint": joint}
-    return replace(state, **fields, readout=readout, rig_error=rig_error)
+    return replace(state, **fields, readout=readout, rig_error=rig_error, eccentricity=eccentricity)
 
 
 def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
@@ -379,7 +393,7 @@ def _with_others(state: So3State, covariance: Array, others: tuple[OtherCamera, 
 
 def move_centres(joint: Array, covariance: Array, others: int) -> None:
     """Add the covariance, (3, 3), of a motion of the ball that all cameras see to `joint` in place."""
-    centres = [slice(at + 1, at + 4) for at in (KINEMATIC_DIM, *(READOUT + CAMERA_DIM * k for k in range(others)))]
+    centres = [slice(at + 1, at + 4) for at in (RIG_ROW, *(READOUT + CAMERA_DIM * k for k in range(others)))]
     for one in centres:
         for other in centres:
             joint[one, other] += covariance

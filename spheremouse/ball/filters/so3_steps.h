@@ -19,7 +19,8 @@ namespace spheremouse::ball {
 
 // The order of the errors, `so3_motion.py`.
 constexpr int CORE = 9;                  // rotation, rate, acceleration
-constexpr int RIG = CORE;                // of the rig, which the filter may estimate: focal length, centre
+constexpr int ECCENTRICITY = CORE;       // of the ball's centre from the point that it turns about, in ball
+constexpr int RIG = ECCENTRICITY + 3;    // of the rig, which the filter may estimate: focal length, that point
 constexpr int RIG_DIM = 4;               // the same, number
 constexpr int AXES = RIG + RIG_DIM;      // of obj
 constexpr int READOUT = AXES + 3;        // of one camera; the errors of others lie before it

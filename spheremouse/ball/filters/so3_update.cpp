@@ -146,8 +146,8 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
                                           const Innovation& seen, int round = 0) {
     const Body prior{about.attitude, by.predicted.rate, by.predicted.acceleration,
                      about.discs,    about.basis,       about.P,
-                     about.readout,  about.rig,         about.known,
-                     about.holds,    about.others};
+                     about.readout,  about.rig,         about.eccentricity,
+                     about.known,    about.holds,       about.others};
     Corrected r = correct(prior, seen, by.pending, by.activity);
     r.dx += mean;
     if (round == 3 || r.dx.head<3>().cwiseAbs().maxCoeff() < (round == 0 ? LINEAR : 0.1 * LINEAR)) {
@@ -155,7 +155,7 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
         return {std::move(r), std::move(moved)};
     }
     r.dx(about.readout_row()) = 0.0;
-    r.dx.segment<RIG_DIM>(RIG).setZero();  // the innovation is linear in readout and rig
+    r.dx.segment<3 + RIG_DIM>(ECCENTRICITY).setZero();  // the innovation is linear in readout, eccentricity and rig
     Each there = mean - r.dx;
     const Moved at = move(about, r.dx, about.P, &there);
     Innovation again = innovation(at.body(), by.points, by.pairs, Noise::Zero());
@@ -207,7 +207,8 @@ nb::tuple corrected_to_numpy(const Moved& moved, const Corrected& r) {
     const bool certain = r.pairs == 0 || r.pairs > PAIRS_WITHOUT_MODES;
     const nb::object modes = certain ? nb::object(modes_to_numpy(r.steps.modes)) : nb::none();
     return nb::make_tuple(moved_to_numpy(moved), to_numpy(moved.P), to_numpy(Each(at_level.row(0))),
-                          nb::make_tuple(r.steps.level, r.nis, moved.readout, to_numpy(moved.rig)), modes);
+                          nb::make_tuple(r.steps.level, r.nis, moved.readout, to_numpy(moved.rig), to_numpy(moved.eccentricity)),
+                          modes);
 }
 
 namespace {
@@ -234,7 +235,7 @@ NewArray<double> since_reference(nb::handle P_, nb::handle turn_) {
     const auto P = matrix(P_, "P");
     const Vector<3> turn = vector<3>(turn_, "turn");
     if (P.rows() != P.cols() || P.rows() < MAP_OFFSET + CLONE)
-        throw nb::type_error("P: must be square, with 20 rows or more");
+        throw nb::type_error("P: must be square, with 23 rows or more");
     const Matrix<3> J = left_jacobian(turn).inverse();
     Matrix<6, 9> A = Matrix<6, 9>::Zero();  // of rotation, rate and reference in turn and rate
     A.topLeftCorner<3, 3>() = J;

@@ -1,6 +1,7 @@
 """The ball's centre in its bearings: how discs and outline show that it moves.
 
-In a good bearing the centre stays in its place, or where the first seconds showed it, and costs nothing. If a shift of
+In a good bearing the centre stays in its place, or where the first seconds showed it, and costs nothing. The centre of
+an eccentric ball moves as it turns, and the filter estimates its place on the ball. If a shift of
 the centre explains places of discs that a rotation does not explain, or if the ball's outline leaves its place, the
 filter lets the centre move, as far as it has moved lately. From then on it uses the outline of each frame
 (`seen_centre`), since discs alone confuse a shift across the line of sight with a turn. If discs do not fit while the
@@ -17,6 +18,7 @@ from spheremouse.ball import centre_offset
 from spheremouse.ball.centre_offset import CentreOffset, KnownDiscs
 from spheremouse.ball.events import BallLost, OutOfRound, Why
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_eccentric import as_eccentric
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
@@ -42,6 +44,7 @@ _MAX_FRAME_LOG_ODDS = 3.0  # nats, largest contribution of one frame: a false pa
 PROOF_ROTATION = 0.5
 _MIN_PAIRS = 5  # of discs, for an estimate of the centre: with three any shift fits, with four nearly
 _PROOF_SIGMA = 0.002  # radii, standard deviation of the shift with which a frame counts in full for that proof
+_ECCENTRIC_CHECK_S = 0.2  # between tests for an eccentric ball
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _MAX_INTERVAL_S = 0.1  # the longest time that one frame counts for
 
@@ -102,6 +105,7 @@ def check_bearings(
     If the frame shows a shift, filter it again with an uncertain rig, a centre that moves, or both. If the centre is
     then too far from its usual place, report the ball lost.
     """
+    state = _with_eccentricity(before, state, stamp, tracker)
     no_doubt = state.centre.evidence < _NEGLIGIBLE_NIS and not _is_doubtful(state)
     if no_doubt and predicted.centre_noise == 0.0 and not state.outline.has_moved:
         return state, ()
@@ -121,6 +125,18 @@ def check_bearings(
         return state._replace(centre=check), events
     state, more = with_usual_place(state._replace(centre=check), stamp, dt, tracker, predicted)
     return state, (*events, *more)
+
+
+def _with_eccentricity(
+    before: TrackState[So3State], state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> TrackState[So3State]:
+    """Return the state of an eccentric ball if the frames show that it is one; `before` is that before the frame."""
+    f = state.filter
+    is_due = stamp // _ECCENTRIC_CHECK_S != before.filter.stamp // _ECCENTRIC_CHECK_S
+    if not (is_due and state.confirmed) or float(f.rate @ f.rate) < RESTS**2:
+        return state
+    eccentric = as_eccentric(f, tracker.rig.ball.radius)
+    return state if eccentric is None else state._replace(filter=eccentric)
 
 
 def with_usual_place(
@@ -300,7 +316,7 @@ def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:
     q = before.centre_noise * dt
     P = before.joint[CENTRE, CENTRE] + q * np.eye(3)
     G = q * np.linalg.inv(P)
-    step = G @ (filtered.centre - before.centre)
+    step = G @ (filtered.rig_error[1:] - before.rig_error[1:])
     C = q * np.eye(3) - G @ (P - filtered.joint[CENTRE, CENTRE]) @ G.T
     keep = math.exp(-dt / _NOISE_TIME_S)
     return keep * before.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)

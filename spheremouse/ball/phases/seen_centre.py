@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import WrongSize
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import So3State, with_seen_centre, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import ECCENTRICITY, So3State, with_seen_centre, with_uncertain_turn
 from spheremouse.ball.outline import seen_ball, seen_centre
 from spheremouse.ball.state import Events, OutlineCheck, Tracker, TrackState
 from spheremouse.geometry.rotation import Array
@@ -47,7 +47,7 @@ def with_first_outline(
     confirms = abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma
     size_sigma = max(ball.sigma, abs(ball.size_error)) if confirms else np.inf
     check = OutlineCheck(begun=True, seen=ball.centre, first=first, trust=ball.trust, size_sigma=size_sigma)
-    state = state._replace(outline=check)
+    state = state._replace(outline=check._replace(attitude=state.filter.attitude))
     if confirms or state.rebuilt is not None:
         return state, ()
     stage = replace(tracker.filter, station=replace(tracker.filter.station, size_error=ball.size_error))
@@ -71,7 +71,7 @@ def with_outline(
     check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
         return state._replace(outline=check), correct_by_outline(predicted, check)
-    return state._replace(outline=_compared_with_first(check)), predicted
+    return state._replace(outline=_compared_with_first(check, predicted)), predicted
 
 
 def _is_due(state: TrackState[So3State], stamp: float, speed: float) -> bool:
@@ -92,7 +92,9 @@ def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:
         return predicted
     if first is None:
         return with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
-    return with_seen_centre(predicted, seen.place - first.place, seen.axes, seen.scatter + first.scatter)
+    place, covariance = _eccentric_part(seen.axes, check.attitude, predicted)
+    covariance += seen.scatter + first.scatter
+    return with_seen_centre(predicted, seen.place - first.place + place, seen.axes, covariance)
 
 
 def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter]) -> So3State:
@@ -100,12 +102,25 @@ def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter
     return with_uncertain_turn(state, np.cross(tracker.filter.station.towards, shift / tracker.rig.ball.radius))
 
 
-def _compared_with_first(check: OutlineCheck) -> OutlineCheck:
-    """Return the check with `away` and `drift` by the way of the outline from its place in the first frame."""
+def _compared_with_first(check: OutlineCheck, predicted: So3State) -> OutlineCheck:
+    """Return the check with `away` and `drift` by the way of the outline from its place in the first frame.
+
+    The way that an eccentric ball makes as it turns does not count.
+    """
     seen, first = check.seen, check.first
     if seen is None or first is None:
         return check
-    step, covariance = seen.place - first.place, seen.covariance + first.scatter
+    turned, covariance = _eccentric_part(seen.axes, predicted.attitude - check.attitude, predicted)
+    step, covariance = seen.place - first.place - turned, covariance + seen.covariance + first.scatter
     if float(step @ np.linalg.solve(covariance, step)) > _MOVED_SIGMAS**2:
         return check._replace(away=check.away + 1)
     return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
+
+
+def _eccentric_part(axes: Array, attitude: Array, state: So3State) -> tuple[Array, Array]:
+    """Return the eccentricity at an `attitude`, or its change by a change of that, along `axes`, (3, 2), obj.
+
+    The second part is its covariance, (2, 2) m².
+    """
+    along = axes.T @ attitude
+    return along @ state.eccentricity, along @ state.joint[ECCENTRICITY, ECCENTRICITY] @ along.T

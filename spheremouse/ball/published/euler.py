@@ -75,6 +75,8 @@ class EulerState:
         """(4,) of focal length and centre: none."""
         return np.zeros(4)
 
+    seen_rig = rig_error
+
     @property
     def centre_noise(self) -> float:
         return 0.0

@@ -293,7 +293,7 @@ class BallAdapter(TrackerAdapter):
         """Return how far the discs show the ball from its calibrated place; None before, or without a length."""
         if self.state is None or self.rig.scale_free:
             return None
-        return 1e3 * float(np.linalg.norm(self.state.filter.rig_error[1:]))
+        return 1e3 * float(np.linalg.norm(self.state.filter.seen_rig[1:]))
 
     def scene(self) -> dict[str, Any]:
         """Return camera, ball, discs of the map and targets.

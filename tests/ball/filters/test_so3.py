@@ -44,9 +44,10 @@ FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400
 
 
 def difference(a, b):
-    """Error vector of state a against state b with the same discs, (19 + 2m,)."""
+    """Error vector of state a against state b with the same discs, (23 + 2m,)."""
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
     core = [log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration]
+    core.append(a.eccentricity - b.eccentricity)
     axes = reference = np.zeros(3)  # never corrected
     return np.concatenate([*core, a.rig_error - b.rig_error, axes, [a.readout - b.readout], d, reference])
 
@@ -158,7 +159,7 @@ def test_predicted_covariance_is_the_scatter_of_samples(dt):
     P0[0, 4] = P0[4, 0] = 3e-4
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
     start = noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4])))
-    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((11, 11))))
+    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((14, 14))))
     predicted = noisy.predict(start, dt)
     n, steps, tau = 6000, 8, PERSISTENCE_S
     e = draw(P0, rng, n)

@@ -33,7 +33,15 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_map import augment
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_rig import Station
-from spheremouse.ball.filters.so3_state import CENTRE, COMMON, RIG, inject, with_seen_centre, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import (
+    CENTRE,
+    COMMON,
+    ECCENTRICITY,
+    RIG,
+    inject,
+    with_seen_centre,
+    with_uncertain_turn,
+)
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.geometry.camera import Pose
@@ -184,6 +192,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
     discs = in_view(np.eye(3), 0.2)[:5]
     frames = [detected(image_of(discs @ exp(w * t).T, *through), rng, sigma) for t in (0.0, dt)]
     state = consider.initial(0.0, np.eye(3))
+    state.joint[ECCENTRICITY] = 0.0  # not negligible beside so little noise
     for k in range(2):
         state = consider.update(consider.predict(state, k * dt), intersect(frames[k], rig, pose))
     assert len(state.used) == 5
@@ -391,7 +400,7 @@ def test_a_seen_centre_corrects_all_but_the_motion():
     assert_allclose(seen.rate, state.rate, atol=0.0)
     assert_allclose(seen.acceleration, state.acceleration, atol=0.0)
     H = np.zeros((2, len(state.joint)))
-    H[:, CENTRE] = axes.T
+    H[:, CENTRE], H[:, ECCENTRICITY] = axes.T, axes.T @ state.attitude
     K = state.joint @ H.T @ np.linalg.inv(H @ state.joint @ H.T + R * np.eye(2))
     K[3:9] = 0.0
     A = np.eye(len(K)) - K @ H

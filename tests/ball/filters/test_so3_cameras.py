@@ -12,7 +12,7 @@ from so3_world import DISCS, DT, FILTER, OWN, RADIUS, draw, own_motion, points_a
 
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_map import to_map, with_map
-from spheremouse.ball.filters.so3_motion import CAMERA_DIM, READOUT
+from spheremouse.ball.filters.so3_motion import CAMERA_DIM, READOUT, RIG_ROW
 from spheremouse.ball.filters.so3_rig import Station
 from spheremouse.ball.filters.so3_state import COMMON
 from spheremouse.ball.points import intersect
@@ -138,7 +138,7 @@ def test_a_state_that_faces_another_camera_and_back_is_the_same():
     state = state.with_camera(joint[:16, :16]).with_camera(joint)
     for which in range(2):
         there = state.facing(which)
-        assert_allclose(there.joint[9, 9], (1.0, 11.0)[which], rtol=1e-3)
+        assert_allclose(there.joint[RIG_ROW, RIG_ROW], (1.0, 11.0)[which], rtol=1e-3)
         assert_allclose(there.joint[there.map_row - 1, there.map_row - 1], (8.0, 18.0)[which], rtol=1e-3)
         back = there.facing(which)
         assert_array_equal(back.joint, state.joint)
@@ -160,4 +160,4 @@ def test_maps_of_several_cameras_grow_and_shrink_together():
     assert with_map(two, saved).joint.shape == two.joint.shape
     new = FILTER.initial(0.0, np.eye(3)).with_reference_of(two)
     assert len(new.others) == 1
-    assert_array_equal(new.facing(0).joint[9:15, 9:15], 1e-8 * np.eye(6))
+    assert_array_equal(new.facing(0).joint[RIG_ROW : RIG_ROW + 6, RIG_ROW : RIG_ROW + 6], 1e-8 * np.eye(6))

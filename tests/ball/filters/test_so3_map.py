@@ -235,13 +235,13 @@ def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
 
 
 def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
-    """30 maps drawn from one covariance, each found at another attitude: chi-square of the attitude, 95 % band."""
+    """90 maps drawn from one covariance, each found at another attitude: chi-square of the attitude, 95 % band."""
     known = to_map(learnt()[0], 1)
     assert known is not None
     rng = np.random.default_rng(5)
     axes = tangent_basis(DISCS)
     covariance = known.covariance[:48, :48] + 1e-7 * np.eye(48)
-    runs, squares = 30, []
+    runs, squares = 90, []
     for _ in range(runs):
         wrong = DISCS + np.einsum("mij,mj->mi", axes, draw(covariance, rng, 1).reshape(24, 2))
         wrong /= np.linalg.norm(wrong, axis=1, keepdims=True)

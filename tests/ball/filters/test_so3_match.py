@@ -101,7 +101,7 @@ def test_distances_are_exact_below_the_gate(sigma, common):
     assert pairs > 20
 
 
-@pytest.mark.parametrize(("sigma", "more"), [(3e-3, ()), (1e-2, (55, 59))])  # there a pair contradicts the others
+@pytest.mark.parametrize(("sigma", "more"), [(3e-3, ()), (1e-2, (64, 78))])  # there a pair contradicts the others
 def test_the_pairs_have_the_least_total_distance_and_agree(sigma, more):
     disagree = 0
     for seed in (*range(20), *more):

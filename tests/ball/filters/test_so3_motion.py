@@ -49,9 +49,10 @@ def test_the_prediction_is_its_linear_model(rate, tau):
 
 def drawn(rng):
     """Draw a ball of two discs, three modes, and a player of two levels."""
-    A, discs = rng.normal(size=(24, 24)), np.eye(3)[:2]
+    A, discs = rng.normal(size=(27, 27)), np.eye(3)[:2]
     rates = rng.normal(size=(2, 3))
-    body = exp(rng.normal(size=3)), *rates, discs, np.zeros((2, 3, 2)), A @ A.T, 0.0, np.zeros(4), 2, False, 0
+    motion = exp(rng.normal(size=3)), *rates
+    body = *motion, discs, np.zeros((2, 3, 2)), A @ A.T, 0.0, np.zeros(4), 2, False, 0, np.zeros(3)
     means, covariances, weights = rng.normal(size=(3, 6)), rng.normal(size=(3, 6, 6)), rng.dirichlet(np.ones(6))
     weights = weights.reshape(3, 2)
     pending = np.zeros((9, 9)), 0.0, weights.sum(axis=0), (means, covariances, weights)

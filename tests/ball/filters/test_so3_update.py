@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
-from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT, RIG_ROW
 from spheremouse.geometry.rotation import exp, left_jacobian, log, tangent_basis
 from spheremouse.native import kernels
 from tests.ball.filters import twins
@@ -22,7 +22,8 @@ VARIANCES = np.array([0.1, 2.0, 30.0]) ** 2
 USUAL = np.array([0.8, 0.15, 0.05])
 N = MAP_OFFSET + 8 + CLONE_DIM  # four discs
 APART, HELD = slice(KINEMATIC_DIM, MAP_OFFSET), slice(AXES, MAP_OFFSET)
-SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 7, 1, 8, 3])
+WITH_RIG = slice(RIG_ROW, MAP_OFFSET)
+SIGMA = np.repeat([1e-3, 0.02, 0.5, 3e-3, 1e-3, 5e-4, 1e-3], [3, 3, 3, 10, 1, 8, 3])
 
 
 def covariance(rng, n):
@@ -32,18 +33,19 @@ def covariance(rng, n):
 
 def drawn(rng, far):
     """A prior with three modes, `far` standard deviations apart: sizes as in play."""
-    to_motion, to_apart = np.zeros((N, 6)), np.zeros((N, MAP_OFFSET - KINEMATIC_DIM))
-    to_motion[3:9], to_apart[APART] = np.eye(6), np.eye(MAP_OFFSET - KINEMATIC_DIM)
+    k = MAP_OFFSET - KINEMATIC_DIM
+    to_motion, to_apart = np.zeros((N, 6)), np.zeros((N, k))
+    to_motion[3:9], to_apart[APART] = np.eye(6), np.eye(k)
     others = np.r_[0:3, MAP_OFFSET:N]
-    to_motion[others], to_apart[others] = rng.normal(size=(len(others), 6)), rng.normal(size=(len(others), 8))
-    to_apart[3:9] = rng.normal(size=(6, 8))
+    to_motion[others], to_apart[others] = rng.normal(size=(len(others), 6)), rng.normal(size=(len(others), k))
+    to_apart[3:9] = rng.normal(size=(6, k))
     motion = np.array([share * covariance(rng, 6) for share in (0.05, 0.1, 0.2)])
     weights = rng.dirichlet(np.ones(9)).reshape(3, 3)
     means = far * rng.normal(size=(3, 6))
     means -= weights.sum(axis=1) @ means
     own = np.zeros((N, N))
     own[np.ix_(others, others)] = covariance(rng, len(others))
-    apart = covariance(rng, 8)
+    apart = covariance(rng, k)
     shared = to_apart @ apart @ to_apart.T + own
     of_modes = np.array([to_motion @ C @ to_motion.T + shared for C in motion]) * np.outer(SIGMA, SIGMA)
     means = means @ to_motion.T * SIGMA
@@ -55,7 +57,7 @@ def frame(rng, P, holds=False):
     discs = rng.normal(size=(4, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     rates = 0.002 * rng.normal(size=3), 5.0 * rng.normal(size=3)  # too slow to determine the readout
-    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(4), 4, holds, 0
+    body = exp(rng.normal(size=3)), *rates, discs, tangent_basis(discs), P, 1e-3, np.zeros(4), 4, holds, 0, np.zeros(3)
     noise = rng.normal(size=(4, 3, 3)) * 3e-4
     row = rng.uniform(-0.5, 0.5, 4)
     points = discs, noise @ noise.transpose(0, 2, 1), 0.01 * row, row, rng.normal(size=(4, 3, 4)), 1.0, np.zeros(4)
@@ -78,14 +80,14 @@ def activity(variances):
 def corrected(body, points, dt, modes):
     """Return covariance, level weights, level, modes, log likelihood, and the error vector by which the state moved."""
     pairs, pending = (np.arange(4), np.arange(4), np.zeros((9, 9))), (np.zeros((9, 9)), dt, modes[2].sum(axis=0), modes)
-    (motion, P, at_level, (level, _, readout, rig_error), modes), log_likelihood = kernels.correct(
+    (motion, P, at_level, (level, _, readout, rig_error, eccentricity), modes), log_likelihood = kernels.correct(
         body, points, pairs, pending, activity(VARIANCES)
     )
     attitude, rate, acceleration, discs, _ = motion
     along = np.einsum("kia,ki->ka", body[4], discs) / np.sum(body[3] * discs, axis=1, keepdims=True)
     dx = np.zeros(N)
     dx[:KINEMATIC_DIM] = *log(attitude @ body[0].T), *(rate - body[1]), *(acceleration - body[2])
-    dx[KINEMATIC_DIM:AXES] = rig_error - body[7]
+    dx[KINEMATIC_DIM:AXES] = *(eccentricity - body[11]), *(rig_error - body[7])
     dx[READOUT], dx[MAP_OFFSET:-CLONE_DIM] = readout - body[6], along.ravel()
     return P, at_level, level, modes, log_likelihood, dx
 
@@ -154,7 +156,7 @@ def test_the_correction_is_the_mean_over_the_hypotheses_of_schmidts(far, holds, 
         _, prior = moments(weights.sum(axis=1), means, covariances)
         body, points, H, R = frame(rng, prior, holds)
         z = 2e-3 * rng.normal(size=8)
-        each = each_on_its_own(means, covariances, weights, H, R, z, body[1:3], APART if holds else HELD, dt)
+        each = each_on_its_own(means, covariances, weights, H, R, z, body[1:3], WITH_RIG if holds else HELD, dt)
         new, levels, steps, p, after, spreads = map(np.array, zip(*each, strict=True))
         for level in range(1, len(VARIANCES)):
             of_level = steps & (new == level)
@@ -250,11 +252,11 @@ def test_discs_move_along_their_axes_which_stay_orthonormal_and_keep_their_hand(
     dx = 0.1 * rng.normal(size=N)
     dx[MAP_OFFSET + 1] = 0.1
     rate, acceleration = rng.normal(size=(2, 3))
-    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(4), 4, False, 0
-    (attitude, new_rate, new_acceleration, moved, axes), _, readout, rig_error = kernels.move(body, dx)
+    body = frames[0], rate, acceleration, discs, basis, np.zeros((N, N)), 0.1, np.ones(4), 4, False, 0, np.ones(3)
+    (attitude, new_rate, new_acceleration, moved, axes), _, readout, rig_error, eccentricity = kernels.move(body, dx)
     assert_allclose((*new_rate, *new_acceleration), (*(rate + dx[3:6]), *(acceleration + dx[6:9])))
     assert readout == 0.1 + dx[READOUT]
-    assert_allclose(rig_error, 1.0 + dx[KINEMATIC_DIM:AXES])
+    assert_allclose((*eccentricity, *rig_error), 1.0 + dx[KINEMATIC_DIM:AXES])
     to = discs + np.einsum("kia,ka->ki", basis, dx[MAP_OFFSET:-CLONE_DIM].reshape(4, 2))
     assert_allclose(attitude, exp(dx[:3]) @ frames[0], atol=1e-15)
     assert_allclose(moved, to / np.linalg.norm(to, axis=1, keepdims=True), atol=1e-15)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
+from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT, RIG_ROW
 from spheremouse.geometry.rotation import exp, hat, left_jacobian, log, tangent_basis
 
 GATE, HORIZON, TOWARDS = 13.8, 0.2, np.array([0.0, 0.0, 1.0])
@@ -15,12 +15,23 @@ def drawn(seed, sigma=3e-3, m=12, foreign=3) -> tuple[Any, Any]:
     rng = np.random.default_rng(seed)
     n = MAP_OFFSET + 2 * m + CLONE_DIM
     A = rng.normal(size=(n, 2 * n)) / np.sqrt(2 * n)
-    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 7, 1, 2 * m, 3])
+    scale = sigma * np.repeat([1.0, 10.0, 100.0, 0.3, 0.1, 1.0, 1.0], [3, 3, 3, 10, 1, 2 * m, 3])
     P = A @ A.T * np.outer(scale, scale)
     discs = rng.normal(size=(m, 3))
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     motion = exp(rng.normal(size=3)), 3.0 * rng.normal(size=3), rng.normal(size=3)
-    body = *motion, discs, tangent_basis(discs), P, 2e-3, 1e-2 * rng.normal(size=4), m, False, 0
+    body = (
+        *motion,
+        discs,
+        tangent_basis(discs),
+        P,
+        2e-3,
+        1e-2 * rng.normal(size=4),
+        m,
+        False,
+        0,
+        1e-2 * rng.normal(size=3),
+    )
     row, k = rng.uniform(-0.5, 0.5, m + foreign), m + foreign
     delay, radius = 0.01 * row, 0.6
     direction = [place(body, j, delay[j] + body[6] * row[j])[0] for j in range(m)] + [*rng.normal(size=(foreign, 3))]
@@ -32,7 +43,7 @@ def drawn(seed, sigma=3e-3, m=12, foreign=3) -> tuple[Any, Any]:
     order = np.flatnonzero(direction @ TOWARDS > HORIZON)
     rng.shuffle(order)
     fields = direction, noise, delay, row, (rng.normal(size=(k, 3, 4)) - np.eye(3, 4, 1)) / radius
-    return body, (*(f[order].copy() for f in fields), radius, body[7] + 0.1 * sigma * rng.normal(size=4))
+    return body, (*(f[order].copy() for f in fields), radius, seen_rig(body) + 0.1 * sigma * rng.normal(size=4))
 
 
 def place(body, j, delay):
@@ -43,10 +54,15 @@ def place(body, j, delay):
     return R @ discs[j], R @ basis[j], turn
 
 
+def seen_rig(body):
+    """Return the error of the rig, (4,), whose centre is that of the ball."""
+    return body[7] + np.concatenate([[0.0], body[0] @ body[11]])
+
+
 def seen_with_rig(body, points, i):
     """Return the direction of the point i, (3,), with the rig of the body, to first order in its error."""
     direction, *_, by_rig, _, rig_error = points
-    moved = direction[i] + by_rig[i] @ (body[7] - rig_error)
+    moved = direction[i] + by_rig[i] @ (seen_rig(body) - rig_error)
     return moved / np.linalg.norm(moved)
 
 
@@ -60,7 +76,8 @@ def linear(body, points, i, j):
     H[:, :3], H[:, 3:6] = turning @ exp(turn), t * turning @ left_jacobian(turn)
     H[:, 6:9] = 0.5 * t * H[:, 3:6]
     H[:, AXES:READOUT], H[:, READOUT] = -turning, turning @ body[1] * row[i]
-    H[:, KINEMATIC_DIM:AXES] = -E.T @ by_rig[i]
+    H[:, RIG_ROW:AXES] = -E.T @ by_rig[i]
+    H[:, KINEMATIC_DIM:RIG_ROW] = H[:, RIG_ROW + 1 : AXES] @ body[0]
     H[:, MAP_OFFSET + 2 * j : MAP_OFFSET + 2 * j + 2] = np.eye(2)
     return E.T @ seen_with_rig(body, points, i), H, E.T @ noise[i] @ E / radius**2
 
