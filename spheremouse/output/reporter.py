@@ -202,9 +202,14 @@ class OutputThread:
     # ---- the thread ----
 
     def _run(self) -> None:
-        """Send what is due until `close`. After an unexpected exception, `_work` opens the output again with delay."""
+        """Send what is due until `close`, and what is queued then.
+
+        After an unexpected exception, `_work` opens the output again with delay.
+        """
         try:
-            while not self._closing:
+            closing = False
+            while not closing:
+                closing = self._closing
                 with self._turn:
                     try:
                         wait = self._work()
@@ -212,7 +217,7 @@ class OutputThread:
                         self._log(internal_error_text())
                         self._fail(f"internal error: {reason_of(e)}", e)
                         wait = 0.0
-                if wait > 0.0:
+                if wait > 0.0 and not closing:
                     self._wakeup.acquire(timeout=min(wait, threading.TIMEOUT_MAX))
         finally:
             with self._turn:
