@@ -39,6 +39,7 @@ from spheremouse.ball.texture.picture import (
     first_seen,
     forget,
     grain_of,
+    is_symmetric,
     learn,
     seen_again,
     seen_with_skew,
@@ -322,16 +323,18 @@ def _update_pictures(
     """Return the state with what a frame shows of the ball at its alignment, and of what stands still.
 
     A frame that shows no rotation about some axis teaches nothing, since its attitude about that axis is unknown. But
-    stripes, of which no frame shows it, look the same at any rotation about their axis. A search may find a wrong
+    stripes, which all hide the same axis of the ball, look the same at any rotation about it. A search may find a wrong
     attitude, so its frame teaches nothing before the next one fits near its prediction.
     """
     pixel, attitude = detector.fine.pixel, alignment.attitude
-    placed = not now.searched and (now.reported[0] or shows_all_axes(alignment))
+    path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
+    now = now._replace(shown_axes=now.shown_axes + path * (attitude.T @ alignment.known @ attitude))
+    complete = shows_all_axes(alignment)
+    placed = not now.searched and (complete or (now.reported[0] and is_symmetric(now.shown_axes)))
     starts = now.proven and not now.turned and _angle(attitude, now.began) > _TURNED_PX * pixel
     turn, task = divmod(now.frame_index, _TASK_CYCLE)
     since = _angle(attitude, now.learnt_at)
     moved = placed and now.turned and since > (_MOVED_PX * pixel if task == 0 else _LESSON_ANGLE)
-    path = _angle(attitude, now.alignment.attitude) if now.turned and now.alignment is not None else 0.0
     weighs = task == _TASK_CYCLE // 2 or not now.turned
     work = _Work(weighs, starts, moved, turn, min(path / _DETAIL_ANGLE, 1.0) / _PATHS_TO_KNOW_LIGHT)
     fine, coarse = (
@@ -339,7 +342,8 @@ def _update_pictures(
         for view, level, light in zip(detector.views, (now.fine, now.coarse), shown, strict=True)
     )
     learnt = attitude if starts or moved else now.learnt_at
-    return now._replace(fine=fine, coarse=coarse, learnt_at=learnt, turned=now.turned or starts)
+    symmetric = now.symmetric or (moved and not complete)
+    return now._replace(fine=fine, coarse=coarse, learnt_at=learnt, turned=now.turned or starts, symmetric=symmetric)
 
 
 class _Work(NamedTuple):

@@ -44,6 +44,8 @@ def _next_phase(
     before = state.phase
     if now.alignment is None:
         return _without_alignment(state, stamp, tracker, predicted)
+    if now.symmetric and shows_all_axes(now.alignment):  # it is not, so the picture has parts at wrong places
+        return _begin_again(state, stamp, tracker)
     match before:
         case Lost() | Recognising():
             placed = _relocate(predicted, now.alignment, stamp, tracker)
@@ -74,9 +76,7 @@ def _without_alignment(
     if isinstance(phase, Recognising):
         return _not_recognised(state, phase, stamp, tracker)
     if isinstance(phase, Lost) and stamp - max(state.confirmed_at, state.search.last_plain_stamp) > _OTHER_BALL_S:
-        new_filter = tracker.filter.initial(stamp, state.filter.attitude)
-        state = state._replace(phase=Learning(), filter=new_filter, search=SearchState(), confirmed_at=stamp)
-        return state, (NewMap(),)
+        return _begin_again(state, stamp, tracker)
     if state.status is Status.SEARCHING:  # no uncertainty accumulates before the ball is seen
         new_filter = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         return state._replace(filter=new_filter, confirmed_at=stamp), ()
@@ -112,9 +112,16 @@ def _not_recognised(
     state = state._replace(confirmed_at=stamp)
     if stamp - in_view_since <= _OTHER_BALL_S or texture.frame_index < 2 * FRAMES_PER_SEARCH:
         return state._replace(phase=Recognising(in_view_since)), ()
+    return _begin_again(state, stamp, tracker, saved=True)
+
+
+def _begin_again(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], *, saved: bool = False
+) -> tuple[TrackState[So3State], Events]:
+    """Return the state that learns a new map, and the event. It gives up the map, which may be a `saved` one."""
     new_filter = tracker.filter.initial(stamp, state.filter.attitude)
-    state = state._replace(phase=Learning(), filter=new_filter, search=SearchState())
-    return state, (NewMap(saved=True),)  # the saved map is given up
+    state = state._replace(phase=Learning(), filter=new_filter, search=SearchState(), confirmed_at=stamp)
+    return state, (NewMap(saved=saved),)
 
 
 def _follow(

@@ -312,6 +312,17 @@ def shows_all_axes(alignment: Alignment) -> bool:
     return bool(np.trace(alignment.known) > 2.5)
 
 
+def is_symmetric(shown_axes: Array) -> bool:
+    """Return whether a pattern looks the same at any rotation about an axis of the ball, as stripes do.
+
+    `shown_axes`, (3, 3), is the sum of projections to the axes that frames showed, in ball. All frames of stripes hide
+    one axis. Wood hides one axis in one view, and another axis in the next. If the hidden axis scatters by less than a
+    small neighbourhood, no rotation about it moves a detail.
+    """
+    least, _, most = np.linalg.eigvalsh(shown_axes)
+    return bool(least < _SMALL_WIDTH**2 * most)
+
+
 def tilt_sigma(alignment: Alignment, unseen: float) -> float:
     """Return the standard deviation, rad, of the alignment about its known axes, due to errors of their directions.
 

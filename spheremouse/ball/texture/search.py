@@ -147,6 +147,9 @@ class TextureState(NamedTuple):
     compared: int = 0  # parts of all attitudes at which the ball was compared with itself
     repeats: bool = False  # it looks the same at another attitude
     unseen: float = 0.0  # share of recent frames that showed no rotation about some axis
+    # (3, 3) ball, projections to the axes about which frames showed a rotation, summed over the path of the ball, rad
+    shown_axes: Array = np.zeros((3, 3))
+    symmetric: bool = False  # the picture was taught at unknown rotations about an axis, as if they changed nothing
     reported: tuple[bool, bool] = (False, False)  # by events: frames show no rotation about some axis; `repeats`
     shift: SeenCentre | None = None  # of the ball's centre in the last frame, from its place, if it was measured
     check: CentreCheck = CentreCheck()  # of the bearings, after that measurement

@@ -224,6 +224,42 @@ def test_after_a_step_of_stripes_the_covariance_states_the_error_about_all_axes(
         assert error @ np.linalg.solve(there.estimate.covariance[:3, :3], error) < 16.0
 
 
+class Wood:
+    """Growth rings about an axis beside the ball's middle, bent by long waves, as an albedo of directions, (n, 3)."""
+
+    def __init__(self, seed):
+        rng = np.random.default_rng(seed)
+        self.axis, beside = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        self.middle, self.waves = 0.6 * beside, 4.0 * rng.normal(size=(3, 8))
+        self.phase = rng.uniform(0.0, 2.0 * np.pi, 8)
+
+    def albedo(self, directions):
+        radius = np.linalg.norm(np.cross(directions - self.middle, self.axis), axis=1)
+        bent = 0.5 * np.sin(directions @ self.waves + self.phase).sum(axis=1)
+        return (0.8 - 0.15 * np.sin(60.0 * (radius + 0.08 * bent))).astype(np.float32)
+
+
+@pytest.mark.slow
+def test_wood_that_hides_an_axis_here_and_there_is_not_followed_wrongly():
+    """Frames of an unknown attitude taught the picture, which then seemed to show it: 12° off at 0.3° stated."""
+    made_of = {"motion": "play", "noise": 3.0, "size": (480, 360), "seed": 7}
+    simulation = prepare(SimulationOptions(pattern="none", seconds=5.0, **made_of))
+    simulation = replace(simulation, scene=replace(simulation.scene, pattern=Wood(1)))
+    made = list(simulate(simulation))
+    steps = follow([m.frame for m in made], build(simulation.scene.rig(), simulation.scene.pose, Settings()))
+    offset, compared = None, 0
+    for m, s in zip(made, steps, strict=True):
+        if s.state.status is Status.SEARCHING:
+            offset = None
+        elif s.state.status is Status.TRACKING and s.estimate.confirmed:
+            offset = s.estimate.rotation.T @ m.attitude if offset is None else offset
+            error = log(s.estimate.rotation @ offset @ m.attitude.T)
+            squared = error @ np.linalg.solve(s.estimate.covariance[:3, :3], error)
+            assert np.degrees(np.linalg.norm(error)) < 0.5 or squared < 16.3  # 0.1 % of three degrees of freedom
+            compared += 1
+    assert compared > 50
+
+
 @pytest.mark.parametrize("level", [0, 255])
 def test_a_black_or_a_white_picture_is_no_ball(speckle, level):
     made, tracker, _ = speckle

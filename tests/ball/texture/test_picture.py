@@ -20,6 +20,7 @@ from spheremouse.ball.texture.picture import (
     empty_picture,
     first_seen,
     forget,
+    is_symmetric,
     learn,
     measure_shift,
     seen_again,
@@ -477,3 +478,15 @@ def test_the_contrast_of_light_is_learnt_while_the_ball_turns(view):
         seen = weigh(view, seen._replace(contrast=contrast), picture, R, NOISE, 0.02)
     rest = seen.offset - light
     assert rest.std() < 0.2 * light.std()
+
+
+def test_a_pattern_is_symmetric_if_all_frames_hide_the_same_axis_of_the_ball():
+    def shown(axes):
+        return sum(np.eye(3) - np.outer(a, a) / (a @ a) for a in axes)
+
+    rng = np.random.default_rng(3)
+    scattered = np.array([0.0, 0.0, 1.0]) + np.pad(rng.normal(size=(50, 2)), ((0, 0), (0, 1))) * 0.01
+    assert is_symmetric(shown(scattered))  # by 0.6° about each axis, as measured ones of stripes
+    assert not is_symmetric(shown(scattered) + np.eye(3))  # one frame of all axes
+    assert not is_symmetric(shown(np.array([0.0, 0.0, 1.0]) + 0.1 * rng.normal(size=(50, 3))))
+    assert not is_symmetric(np.zeros((3, 3)))  # no path yet
