@@ -179,7 +179,7 @@ def adjust_bundle(
         factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
         weighted = ImagePoints(image.photo[used], index, image.centre[used], factor * image.covariance[used])
         problem = Problem(device, camera, weighted, not device.distances)
-        start = replace(block, points=points[kept])
+        start = replace(block, points=points[kept], ball=None)  # outliers need free discs
         try:
             solution = solve_block(problem, start, knee)
         except np.linalg.LinAlgError as e:
@@ -380,11 +380,11 @@ def _on_ball(problem: Problem, solution: Solution, ball: Array) -> tuple[Problem
     """Adjust once more with the discs on a sphere, near `ball` (4,); a ball out of round lets them scatter about it."""
     discs = solution.columns.point(np.arange(problem.targets, solution.columns.points)).ravel()
     C = solution.covariance[np.ix_(discs, discs)]
-    scatter = out_of_round(solution.block.points[problem.targets :], C, ball[:3], float(ball[3]))
-    problem = replace(problem, out_of_round=scatter)
     try:
+        scatter = out_of_round(solution.block.points[problem.targets :], C, ball[:3], float(ball[3]))
+        problem = replace(problem, out_of_round=scatter)
         return problem, solve_block(problem, replace(solution.block, ball=ball))
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, CalibrationError):
         raise CalibrationError("the discs do not fix a sphere: photograph more of the ball") from None
 
 

@@ -9,6 +9,7 @@ import pytest
 from experiments.kit import observations
 from experiments.kit.observations import simulated_calibration
 
+from spheremouse.calibrate.device.adjust import adjust_bundle
 from spheremouse.calibrate.device.advice import advise, missing_sides, photo_scatter
 
 FRONT = ((0.0, 5.0), (-10.0, 3.0), (10.0, 4.0), (-5.0, -14.0), (6.0, 8.0))  # degrees to the right, up
@@ -109,6 +110,16 @@ def test_a_blurred_photo_is_named_and_no_other():
 def test_a_ball_out_of_round_is_told_with_its_figure(good):
     assert not any("out of round" in t for t in said(good))
     assert any(re.search(r"out of round.*are [234]\.\d mm off", t) for t in said(calibrated(ROUND, bulge=0.0035)))
+
+
+def test_a_second_adjustment_finds_the_same_shape():
+    """The first one ends with the discs on a sphere. The second one frees them again for its tests."""
+    s = simulated_calibration(np.random.default_rng(0), interior=False, stations=ROUND, bulge=0.0035)
+    first = adjust_bundle(s.views, s.discs, s.start, s.device, s.camera)
+    again = adjust_bundle(s.views, s.discs, first.solution.block, s.device, s.camera)
+    assert first.problem.out_of_round > 0.002
+    assert again.problem.out_of_round == pytest.approx(first.problem.out_of_round, rel=1e-3)
+    np.testing.assert_array_equal(again.used, first.used)
 
 
 def test_what_is_odd_is_said_and_only_then(good):

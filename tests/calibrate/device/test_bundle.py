@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.stats import chi2
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.calibrate.device import bundle
-from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted, solve_block
+from spheremouse.calibrate.device.adjust import _ball, _on_ball
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, Solution, predicted, solve_block
+from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.stills import looking
@@ -163,3 +166,30 @@ def test_interior_orientation_keeps_what_its_calibration_fixes():
     assert solution.block.camera.distortion[1] == start.camera.distortion[1]
     after = np.diag(solution.covariance)[: bundle.INTERIOR]
     assert np.all(after <= np.diag(sure) * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("discs", "message"),
+    [
+        (np.zeros((0, 3)), "0 discs on the ball are known, a sphere takes at least 5"),
+        (np.eye(4, 3), "4 discs on the ball are known, a sphere takes at least 5"),
+        (np.pad(np.random.default_rng(0).uniform(size=(8, 2)), ((0, 0), (0, 1))), "the discs lie in a plane"),
+    ],
+    ids=["none", "four", "plane"],
+)
+def test_discs_that_fix_no_sphere_are_named(discs, message):
+    problem, start, _ = simulated(7)
+    block = replace(start, points=np.concatenate([TARGETS, discs]))
+    columns = bundle.columns_of(problem, block)
+    solution = Solution(block, columns, np.eye(columns.all), np.zeros(0), sparse.csr_array((0, len(columns.free))))
+    with pytest.raises(CalibrationError, match=message):
+        _ball(solution, len(TARGETS))
+
+
+@pytest.mark.parametrize(("certainty", "radius"), [(0.0, 0.5), (1.0, np.nan)], ids=["singular", "no beginning"])
+def test_a_sphere_that_cannot_be_adjusted_asks_for_more_of_the_ball(certainty, radius):
+    problem, start, _ = simulated(8)
+    solution = solve_block(problem, start)
+    solution = replace(solution, covariance=certainty * solution.covariance)
+    with pytest.raises(CalibrationError, match="photograph more of the ball"):
+        _on_ball(problem, solution, np.array([0.3, 0.5, -0.3, radius]))
