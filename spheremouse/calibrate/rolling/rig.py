@@ -157,7 +157,7 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
     """Build the rig in the axes found; `radius` of the ball, m, if a person measured it."""
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)
-    free = axes.rig is not None and axes.rig.scale_free  # the scale of the targets
+    free = source == "targets" and axes.rig is not None and axes.rig.scale_free  # the scale of the targets
     if source == "targets" and radius is not None and not free:
         check_radius(radius, place(rolled, found, None).ball)
     placed = place(rolled, found, radius, rescaled=free)
@@ -177,7 +177,7 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
         exposure_s=exposure_s,
         pose=placed.pose,
         disc_directions=disc_map.directions,
-        cross_covariance=placed.cross if has_targets else None,
+        cross_covariance=placed.cross if has_targets and np.any(placed.cross) else None,
         scale_free=radius is None and (source != "targets" or free),
     )
     return RollingCalibration(rig, disc_map, source)
@@ -205,7 +205,7 @@ def place(rolled: RollingAdjustment, axes: Axes, radius: float | None, *, rescal
         by_distance = 1.0 if axes.distance is None else axes.distance * np.exp(e[3]) / (rolling.ratio + e[-2])
         if radius is None:
             return by_distance, 1.0
-        return radius + e[-1], (radius + e[-1]) / by_distance if rescaled else 1.0
+        return radius + e[-1], (radius + e[-1]) / by_distance if rescaled and axes.distance is not None else 1.0
 
     def values(e: Array) -> Array:
         """Camera's position and turn, radius, and targets, (7 + 3n,), for errors of axes, direction, ratio, radius."""

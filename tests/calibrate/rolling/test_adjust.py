@@ -15,9 +15,9 @@ from spheremouse.ball.rig import CODES, Ball, Rig, Targets
 from spheremouse.calibrate.report.rolling import advise
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rings, axes_from_targets
-from spheremouse.calibrate.rolling.calibrate import solve
+from spheremouse.calibrate.rolling.calibrate import Solution, Views, solve
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, apply_step, equations_of
-from spheremouse.calibrate.rolling.rig import place
+from spheremouse.calibrate.rolling.rig import AxesFrom, build_rig, place
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream, section
 from spheremouse.commands.calibrate import app
@@ -364,6 +364,24 @@ def test_targets_of_a_free_rig_take_a_length():
     assert np.all(np.diag(exact.targets.covariance) < np.diag(placed.covariance))
     np.testing.assert_array_equal(place(found, axes, 0.6).targets.position, axes.targets.position)
     np.testing.assert_allclose(place(found, axes, 0.6).cross, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("source", ["targets", "device"])
+def test_a_length_changes_the_rings_of_a_free_rig_alone(monkeypatch, source):
+    """A device gives its rings in m. A metric rig has no covariance between its targets and a length."""
+    metric, *_ = target_scene()
+    targets = metric.targets
+    free = replace(targets, position=targets.position / 0.6, radii=targets.radii / 0.6)
+    for rig, scale_free in ((replace(metric, targets=free), True), (metric, False)):
+        found, axes, _, _ = rolled_targets(3, rig, radius=1.0 if scale_free else 0.6)
+        if source == "device":
+            axes = replace(axes, distance=None, targets=targets)
+        monkeypatch.setattr(AxesFrom, "find", lambda *_, axes=axes: (axes, source))
+        known = AxesFrom(replace(rig, scale_free=scale_free), None, None, CAMERA)
+        built = build_rig(Solution(found, None, 0.03, Views(), 6.0), known, 0.6, 0.0).rig
+        np.testing.assert_allclose(built.targets.radii, targets.radii, rtol=0.01)
+        assert not built.scale_free
+        assert (built.cross_covariance is None) == (source == "targets" and not scale_free)
 
 
 def target_scene():
