@@ -40,11 +40,11 @@ def test_a_shape_scatters_by_its_own_share_alone():
 
 def test_bolt_beside_the_ball_is_off_it():
     rng = np.random.default_rng(5)
-    points, C = cap(rng, 12)
+    points, C = cap(rng, 25)
     points[4] *= 1.02
     observed = sampled(rng, points, C)
-    blocks = np.stack([C[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(12)])
-    assert np.flatnonzero(off_sphere(observed, blocks, CENTRE, RADIUS)).tolist() == [4]
+    blocks = np.stack([C[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(25)])
+    assert np.flatnonzero(off_sphere(observed, blocks, *algebraic_sphere(observed))).tolist() == [4]
 
 
 @given(seed=st.integers(0, 10**6))
