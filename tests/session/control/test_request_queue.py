@@ -22,9 +22,9 @@ def queue():
     return RequestQueue(lambda: None, lambda line: None)
 
 
-def put(queue, request):
+def put(queue, request, *, quiet=False):
     replies = []
-    pending = PendingRequest(request, replies.append)
+    pending = PendingRequest(request, replies.append, quiet=quiet)
     queue.put(pending)
     return pending, replies
 
@@ -53,6 +53,19 @@ def test_set_and_reload_wait_for_each_other_and_other_kinds_do_not(queue):
     assert queue.take() is pending[1]
     pending[1].answer({})
     assert queue.take() is pending[3]
+
+
+def test_a_quiet_request_does_not_wait_for_another_of_its_kind(queue):
+    first, _ = put(queue, SET)
+    _, while_it_waits = put(queue, RELOAD, quiet=True)
+    assert queue.take() is first
+    _, while_it_is_under_way = put(queue, RELOAD, quiet=True)
+    assert [reply["error"] for reply in while_it_waits + while_it_is_under_way] == 2 * [
+        "one is under way; ask again when it is done"
+    ]
+    first.answer({})
+    second, refused = put(queue, RELOAD, quiet=True)
+    assert (queue.take(), refused) == (second, [])
 
 
 def test_few_requests_wait_and_those_of_clients_that_disconnect_leave_room(queue):
