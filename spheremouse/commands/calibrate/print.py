@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from spheremouse.errors import CalibrationError
-from spheremouse.files.safe_files import replace
+from spheremouse.files.safe_files import read_bytes, replace
 
 _MIN_LENGTH, _MAX_LENGTH = 0.5, 1000.0  # mm, of printed shapes
 
@@ -98,8 +98,8 @@ def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         there = [name for name in made if name != NAME and (folder / name).exists()]
-        differ = [name for name in there if (folder / name).read_bytes() != made[name]]
-        if differ and not force:
+        differ = [] if force else [name for name in there if not _holds(folder / name, made[name])]
+        if differ:
             other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
             raise CalibrationError(
                 f"{folder / differ[0]}{other}: exists with other contents; use --force or another --out"
@@ -109,3 +109,8 @@ def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
             typer.echo(f"{folder / name}")
     except OSError as e:
         raise CalibrationError(f"{e.filename or folder}: cannot be written: {e.strerror or e}") from None
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    """Return whether a file has these contents. A pipe has the size 0 and is not opened."""
+    return path.stat().st_size == len(data) and read_bytes(path, len(data), "sheet") == data

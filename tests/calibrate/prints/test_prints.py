@@ -1,5 +1,6 @@
 """`spheremouse calibrate print`: pages are true to scale, OpenCV and the tracker find what is on them."""
 
+import os
 import re
 from pathlib import Path
 
@@ -207,6 +208,19 @@ def test_files_that_differ_are_left_alone_without_force(tmp_path):
     run("--out", tmp_path, "--only", "discs", "--discs", 1, "--force")
     assert path.read_bytes() == good
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_pipe_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "discs-1-20mm-a4.pdf")
+    with pytest.raises(SpheremouseError, match="exists with other contents"):
+        run("--out", tmp_path, "--only", "discs", "--discs", 1)
+
+
+def test_with_force_no_old_file_is_read(tmp_path, monkeypatch):
+    """So a file that may not be read is replaced."""
+    (tmp_path / "discs-1-20mm-a4.pdf").write_bytes(b"mine")
+    monkeypatch.setattr("spheremouse.commands.calibrate.print.read_bytes", None)
+    assert run("--out", tmp_path, "--only", "discs", "--discs", 1, "--force").exit_code == 0
 
 
 @pytest.mark.parametrize(
