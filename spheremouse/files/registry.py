@@ -96,7 +96,8 @@ class _PlugIn:
                 setattr(self, name, self._with_named_errors(getattr(plugin, name)))
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._plugin, name)
+        member = getattr(self._plugin, name)
+        return self._with_named_errors(member) if callable(member) else member
 
     def _with_named_errors(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:

@@ -18,6 +18,15 @@ class Lamp(Output):
     def send(self, report): self.sent.append(report)
 def open(argument): return Lamp(argument)
 """
+WITHOUT_METHODS = """
+class Lamp:
+    def __init__(self, argument):
+        vars(self).update(dict.fromkeys("paced blocks period hang_hint begin delivery drop_waiting close".split()))
+        self.send = lambda report: {}['red']
+    def __enter__(self): return self
+    def __exit__(self, *_): return None
+def open(argument): return Lamp(argument)
+"""
 SOURCE = """
 from spheremouse.capture import Stream
 def open(argument, realtime): return Stream(iter([argument]))
@@ -104,6 +113,7 @@ def test_a_source_without_a_rate_is_refused_before_a_frame(installed):
         OUTPUT.replace("def open(argument): return", "def open(argument): {}['red'];"),
         OUTPUT.replace("self.sent.append(report)", "{}['red']"),
         OUTPUT.replace("def __enter__(self): return self", "def __enter__(self): return {}['red']"),
+        WITHOUT_METHODS,
     ],
 )
 def test_an_exception_of_an_output_names_the_plug_in(installed, text):
