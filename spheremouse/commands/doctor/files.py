@@ -102,11 +102,12 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     days = (datetime.now(UTC) - made).total_seconds() / _DAY_S
     targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
     diameter = "unknown size" if rig.scale_free else f"{2.0 * rig.ball.radius:.3g} m"
-    text = f"{path}: {verb} {age(made)}; {targets}, ball of {diameter}"
+    when = age(made) if days > -1.0 else f"{-days:.0f} days from now"
+    text = f"{path}: {verb} {when}; {targets}, ball of {diameter}"
     return classify(
         "rig",
         text,
-        (days < -1.0, Verdict.WARNING, f"; that date is {-days:.0f} days ahead", "set this computer's clock"),
+        (days <= -1.0, Verdict.WARNING, "", "set this computer's clock"),
         age_days=round(days, 1),
         targets=len(rig.targets.codes),
     )

@@ -190,8 +190,9 @@ def brightness(
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
-    """Report the median number of disc candidates in a view, and the median contrast of all.
+    """Report the median number of disc candidates in a view, and the median contrast of the clear ones.
 
+    The detector learns contrast from discs with a semi-minor axis above 3 px. Without one, the contrast is unknown.
     If most views show none, report the cause in the view with the fewest. Contrast does not change the verdict: the
     detector has left out weaker discs.
     """
@@ -209,10 +210,12 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
         problem, hint = why_absent(absence)
         return wrong("discs", f"none is seen on the ball: {problem}", hint, **numbers, cause=str(absence.cause))
     text = f"{count} seen"
-    if len(contrasts):
+    if contrasts:
         strength = float(np.median(contrasts))
         numbers["contrast"] = round(strength, 3)
         text += f", contrast {strength:.2f} (black print has 0.8; {settings.contrast:g} is the least that counts)"
+    else:
+        text += ", contrast not measured: no clear disc of 6 px"
     few = ": fewer than three, nothing checks the attitude"
     return classify(
         "discs", text, (count < _MIN_DISCS, Verdict.WARNING, few, "uncover the ball, or add discs"), **numbers

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 from dataclasses import replace
 from io import BytesIO, TextIOWrapper
@@ -90,6 +91,9 @@ def test_the_reference_recording_is_well_and_the_discs_are_those_of_its_truth(fa
     whole = [np.count_nonzero(truth.state[truth.frame == k] == 3) for k in range(31)]
     partly = [np.count_nonzero(truth.state[truth.frame == k] >= 2) for k in range(31)]
     assert min(whole) - 1 <= one(found, "picture", "discs").values["seen"] <= max(partly) + 4  # bolts look like discs
+    contrast = one(found, "picture", "discs").values["contrast"]
+    assert 0.5 < contrast < 0.9
+    assert f", contrast {contrast:.2f} (" in one(found, "picture", "discs").text
     assert one(found, "configuration", "rig").text == FAR26_RIG
     assert one(found, "picture", "blur").verdict is UNCHECKED  # this camera had no exposure
 
@@ -344,7 +348,10 @@ def test_the_rig_and_its_age(tmp_path, far26):
     save_rig(path, rig)
     assert "written just now" in files.rig_file(path, rig, None).text
     os.utime(path, (4e9, 4e9))
-    assert "set this computer's clock" in files.rig_file(path, rig, None).advice
+    told = files.rig_file(path, rig, None)
+    assert "set this computer's clock" in told.advice
+    assert re.search(r": written \d+ days from now; 4 targets", told.text)
+    assert "just now" not in told.text
     assert files.rig_file(None, None, None).verdict is UNCHECKED
     map_file = tmp_path / "rig.map.yaml"
     assert files.map_of(map_file, rig, Settings()).verdict is OK  # made as the ball turns
