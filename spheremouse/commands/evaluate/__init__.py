@@ -67,6 +67,8 @@ def evaluate(*, options: Options) -> None:
         raise ConfigurationError("--plot: draws one dataset; name one at a time")
     if o.beside is not None and len(o.datasets) > 1:
         raise ConfigurationError("--beside: belongs to one dataset; name one at a time")
+    if not math.isfinite(o.noise + o.brightness):
+        raise ConfigurationError("--noise, --brightness: must be finite numbers")
     inputs = [o.config_file, o.rig_file, o.camera_file, o.map_file, *(o.balls or ())]
     check_outputs([o.json_file, o.plot_file], inputs, force=True)
     of_wand = o.tracker == "wand" or (o.tracker is None and all(is_wand(path) for path in o.datasets))

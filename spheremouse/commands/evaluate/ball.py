@@ -48,8 +48,10 @@ def evaluate_balls(options: Options, out: Console, err: Console) -> tuple[list[d
     """
     settings = _settings(options)
     tracks = list(_tracks(options, settings))
-    if options.plot_file is not None and tracks[0].recording.truth is None:
-        raise DatasetError(f"{tracks[0].recording.path}: no truth.csv, which --plot compares with")
+    if options.plot_file is not None:
+        for recording in filter(None, (tracks[0].recording, tracks[0].beside)):
+            if recording.truth is None:
+                raise DatasetError(f"{recording.path}: no truth.csv, which --plot compares with")
     results: list[dict[str, Any]] = []
     failed = False
     for each in tracks:

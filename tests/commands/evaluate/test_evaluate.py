@@ -551,6 +551,13 @@ def test_without_truth_it_runs_all_the_same(evaluate, filmed, tmp_path):
     assert err.count("no truth.csv") == 1
 
 
+def test_a_plot_of_two_cameras_needs_the_truth_of_both(spheremouse, filmed, tmp_path):
+    bare = linked(filmed, tmp_path / "bare", "truth.csv", "discs.csv")
+    for one, other in ((filmed, bare), (bare, filmed)):
+        said = spheremouse.fail("evaluate", one, "--beside", other, "--plot", tmp_path / "run.png")
+        assert said == f"{bare}: no truth.csv, which --plot compares with"
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -565,6 +572,9 @@ def test_without_truth_it_runs_all_the_same(evaluate, filmed, tmp_path):
         (("another", "--plot", "out.png"), "--plot"),
         (("another", "--beside", "side"), "--beside: belongs to one dataset"),
         (("missing",), "missing"),
+        (("--noise", "inf"), "--noise, --brightness: must be finite"),
+        (("--brightness=-inf",), "--noise, --brightness: must be finite"),
+        (("--brightness", "nan"), "--noise, --brightness: must be finite"),
     ],
 )
 def test_a_fault_is_one_line_and_code_2(spheremouse, filmed, arguments, says):
