@@ -97,7 +97,7 @@ def _recorded_film(path: Path) -> Film:
 
 
 def measure(film: Film, steps: int, progress: Callable[[int], object] = lambda _: None) -> Steps:
-    """Measure steps of the tracker, without garbage collection as in the daemon. DatasetError: too few frames."""
+    """Measure steps of the tracker, after a garbage collection and freeze. DatasetError: too few frames."""
     import numpy as np
 
     from spheremouse.ball.build import begin, build

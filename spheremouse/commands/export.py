@@ -44,7 +44,7 @@ def export(
     source = setup.source
     assert source is not None
     with os_errors_as(ConfigurationError, f"{out}: cannot be written"):
-        with new_file(out) as file, source, progress_bar() as progress:
+        with source, new_file(out) as file, progress_bar() as progress:
             writer = McapWriter(file, describe_run(plan))
             adapter = setup.adapter(plan, writer.log, here)
             frames = adapter.begin(iter(progress.track(source, source.count, description="exporting")))

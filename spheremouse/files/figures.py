@@ -46,7 +46,10 @@ def _read_report(path: Path) -> dict[str, Any]:
     except OSError as e:
         return {"file": str(path), "problem": e.strerror or str(e)}
     except (StopIteration, ValueError, TypeError, KeyError, IndexError, AttributeError):
-        return {"file": str(path), "problem": "is no valid report of a calibration"}
+        return {
+            "file": str(path),
+            "problem": "is no valid report of a calibration; calibrate again, or remove the file",
+        }
 
 
 def figure_rows(data: dict[str, Any]) -> Iterator[Row]:

@@ -71,7 +71,7 @@ def test_nonsense_beside_a_calibrated_file_is_refused_with_a_reason_in_one_line(
     (tmp_path / "rig.yaml").touch()
     (report,) = read_figures([tmp_path])
     assert report.keys() == {"file", "problem"}
-    assert "is no" in report["problem"]
+    assert report["problem"].endswith("; calibrate again, or remove the file")
     assert "\n" not in report["problem"]
 
 
