@@ -1,9 +1,10 @@
-"""The bundle adjustment of a board's views: unknowns, residuals, normal equations.
+"""The bundle adjustment of a board's views: unknowns, residuals, Jacobian.
 
 No print is exact and no plate is flat, so the board's shape is unknown, too: a stretch of its columns against its rows
 (Strobl, Hirzinger 2011), and a second-order bow (the deformation of mrcal, Kogan 2021).
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -114,15 +115,16 @@ def resect_views(
 ) -> tuple[Array, Array, tuple[Array, ...]]:
     """Return R_cam_board, (v, 3, 3), and t_cam_board, (v, 3) m, of a known camera, and residuals, (n, 2) px a view.
 
-    `shape` (4,) is that of the board on its `plate`; None: as printed. A view that does not converge keeps its start.
+    `shape` (4,) is that of the board on its `plate`; None: as printed. A view without a finite result keeps its start.
     """
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(SHARED, bool), plate)
     shape, poses = np.zeros(SHAPE) if shape is None else shape, poses_of(views, camera)
     for view, start in zip(views, poses, strict=True):
         points = view.points + bundle.plate.by_shape(view.points) @ shape
-        pose = cv2.solvePnPRefineLM(points, view.uv, camera.matrix, camera.distortion, *start.copy())
-        if np.all(np.isfinite(pose)):  # else large residuals show it
-            start[:] = np.reshape(pose, (2, 3))
+        with contextlib.suppress(cv2.error):
+            pose = cv2.solvePnPRefineLM(points, view.uv, camera.matrix, camera.distortion, *start.copy())
+            if np.all(np.isfinite(pose)):  # else large residuals show it
+                start[:] = np.reshape(pose, (2, 3))
     x = np.concatenate([interior_vector(camera), shape, poses.ravel()])
     return exp(poses[:, 0]), poses[:, 1], bundle.residuals(x)
 

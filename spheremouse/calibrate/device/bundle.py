@@ -104,9 +104,9 @@ class Solution:
     block: Block
     columns: Columns
     covariance: Array  # (all, all) of all columns at unit variance factor; 0 where they are held
-    residual: (
-        Array  # (r,) of unit variance: two of each image point, one of each distance, and the interior orientation
-    )
+    # (r,) of unit variance, in this order: two of each image point, one of each distance, a guessed depth of each image
+    # point, the known part of the interior orientation, one of each disc on a ball
+    residual: Array
     jacobian: Jacobian  # (r, f) of the residuals by the free unknowns
 
 

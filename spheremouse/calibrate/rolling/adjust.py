@@ -2,8 +2,8 @@
 
 The discs lie on a rigid sphere that rotates about its centre. Unknown are the direction to the centre, its distance
 over the radius, the direction of each disc, the attitude in each frame, and the readout time of a rolling shutter. The
-radius stays open. So does the rotation of the ball's own axes, which inner constraints remove (free network). Each
-frame's attitude is eliminated (Schur complement; Förstner, Wrobel 2016, section 15.2).
+radius stays open. So does the rotation of the ball's own axes, which inner constraints remove (free network). Only
+the covariance is computed without each frame's attitude (Schur complement; Förstner, Wrobel 2016, section 15.2).
 """
 
 from dataclasses import replace

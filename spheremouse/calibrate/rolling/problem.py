@@ -1,4 +1,4 @@
-"""Adjustment of a rolling ball: observations, unknowns, residuals, normal equations, and their minimum."""
+"""Adjustment of a rolling ball: observations, unknowns, residuals, Jacobian, and the minimum."""
 
 from dataclasses import dataclass, replace
 
