@@ -36,9 +36,10 @@ def adjust(
     """Minimise the sum of squares of the residuals, or Huber's function of them with its `knee`, from a start `at`.
 
     Levenberg-Marquardt with damping by gain (Nielsen 1999). `evaluate` returns residuals (n,) over their standard
-    deviations, and their Jacobian (n, u). `retract` applies a step (u,). A cost that is not finite counts as the worst.
-    Raises CalibrationError with the `hint` if the start is invalid, or if squares do not converge. Huber's function
-    only gives a start for squares, and outliers can make its convergence slow, so its last point is good enough.
+    deviations, and their Jacobian (n, u). Observed unknowns (priors) are among them, and `knee` holds for them, too.
+    `retract` applies a step (u,). A cost that is not finite counts as the worst. Raises CalibrationError with the
+    `hint` if the start is invalid, or if squares do not converge. Huber's function only gives a start for squares, and
+    outliers can make its convergence slow, so its last point is good enough.
 
     SciPy's solver decomposes the Jacobian and takes thirty times as long for thirty photos; a network with a datum
     does not need it.
