@@ -61,7 +61,7 @@ def paint_ball(
 ) -> Layer | None:
     """The ball, averaged over poses (centre (3,) m, R_cam_ball (3, 3)) in the exposure; None if it is out of view."""
     moments = [(c, R) for c, R in moments if c[2] > 2.0 * ball.radius]
-    rims = np.array([sphere_outline(c, ball.radius, camera, 24) for c, _ in moments]).reshape(-1, 2)
+    rims = np.array([sphere_outline(c, ball.radius, camera, 64) for c, _ in moments]).reshape(-1, 2)
     place = window(rims[np.isfinite(rims).all(axis=1)], _MARGIN_PX, camera)
     if place.empty:
         return None
