@@ -182,8 +182,9 @@ def _with_new_pose(
     """Process a frame after the camera has moved. The ball's attitude and rate stay, so the pointer does not jump.
 
     The tracker forgets look-alikes and candidates, because they have other places in the picture. It also forgets the
-    ball's eccentricity, because a new pose changes the ball's apparent centre. The covariance of the pose stays, with
-    the map's share of it, and grows by `added`, (6, 6). With None the new pose is independent of the old one.
+    checks of the ball's centre, because a new pose changes the ball's apparent centre. The covariance of the pose
+    stays, with the map's share of it, and grows by `added`, (6, 6). With None the new pose is independent of the old
+    one.
     """
     filtered = anew.method.at_new_pose(state, anew, added)
     watch = watching.begin(anew.rig, anew.pose) if anew.method.keeps_map else None
@@ -256,7 +257,13 @@ def advance(
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
     which = None if free.all() else np.flatnonzero(free)
-    points = intersect(detections, tracker.rig, tracker.pose, carried.seen_rig, which)
+    points = intersect(
+        detections,
+        tracker.rig,
+        tracker.pose,
+        carried.rig_error if state.status is Status.LOST else carried.seen_rig,
+        which,
+    )
     state = state._replace(
         lookalikes=lookalikes,
         detections=detections,

@@ -395,9 +395,9 @@ def update_by_frame(
     """
 
 def move(body: _Body, dx: _Float) -> tuple[_Motion, _Float, float, _Float, _Float]:
-    """Return motion, covariance, readout, s, rig error and eccentricity of a state moved by errors, (23 + 2m,).
+    """Return motion, covariance, readout, s, rig error and eccentricity of a state moved by errors, (n,).
 
-    The covariance, (23 + 2m, 23 + 2m), is that of the errors about the moved state.
+    The covariance, (n, n) with n = 23 + 8p + 2l, is that of the errors about the moved state.
     """
 
 def since_reference(P: _Float, turn: _Float) -> _Float:

@@ -64,12 +64,12 @@ class FilterState(Protocol):
 
     @property
     def rig_error(self) -> Array:
-        """(4,) of the focal length and the ball's centre, as `SpherePoints` has it."""
+        """(4,) of the focal length and the point that the ball turns about."""
         ...
 
     @property
     def seen_rig(self) -> Array:
-        """(4,) that error at this attitude."""
+        """(4,) of the focal length and the ball's centre at this attitude, as `SpherePoints` has it."""
         ...
 
     @property

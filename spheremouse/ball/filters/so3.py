@@ -203,10 +203,7 @@ class So3Filter:
 
         `size_sigma` is as in `with_rig_uncertainty`.
         """
-        return bool(
-            state.rig_error[1:] @ state.rig_error[1:]
-            > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:])
-        )
+        return bool(state.pivot @ state.pivot > 9.0 * np.trace(self.station.covariance_by_tape(size_sigma)[1:, 1:]))
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""

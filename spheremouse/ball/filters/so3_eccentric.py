@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spheremouse.ball.filters.so3_motion import AXES
+from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM
 from spheremouse.ball.filters.so3_state import ECCENTRICITY, RIG, So3State, inject
 from spheremouse.geometry.rotation import Array
 
@@ -58,12 +58,15 @@ def as_eccentric(state: So3State, radius: float) -> So3State | None:
     effect = _effect(state)
     joint = state.joint + effect @ (covariance - P) @ effect.T
     dx = effect @ (mean - state.eccentricity)
+    reference = slice(-CLONE_DIM, None)  # keeps its estimate, since its increment was sent
+    joint[reference, reference] += np.outer(dx[reference], dx[reference])
+    dx[reference] = 0.0
     return inject(state, dx, joint, state.weights, state.manoeuvre_level, state.used, state.nis)
 
 
 def _effect(state: So3State) -> Array:
     """Return the effect, (n, 3), of an error of the eccentricity on all errors, given those that are held."""
-    held = np.r_[ECCENTRICITY, RIG.start if state.holds_rig else AXES : state.map_row]
+    held = np.r_[ECCENTRICITY, RIG.start if state.holds_rig else AXES : state.map_row - 1]
     held = held[state.joint[held, held] > 0.0]
     sigma = np.sqrt(state.joint[held, held])
     correlation = state.joint[np.ix_(held, held)] / np.outer(sigma, sigma)

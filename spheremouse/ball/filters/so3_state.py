@@ -43,7 +43,7 @@ Modes = tuple[Array, Array, Array]
 class OtherCamera(NamedTuple):
     """Means of a camera that does not show this frame. Their errors are in `joint`."""
 
-    rig_error: Array  # (4,) of this camera's rig
+    rig_error: Array  # (4,) of this camera's rig, as `So3State` has it
     readout: float  # s, by which its rolling shutter takes longer than its rig says
     hidden: Array  # (m,) probability that a disc is not to be seen from there
 
@@ -68,8 +68,8 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
-    rig_error: Array = field(default_factory=lambda: np.zeros(RIG_DIM))  # (4,) of focal length and centre
-    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, ball, of the centre
+    rig_error: Array = field(default_factory=lambda: np.zeros(RIG_DIM))  # (4,) of focal length and pivot
+    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, ball, from pivot to centre
     centre_noise: float = 0.0  # m²/s per axis, by which the centre moves at random; 0 in a good bearing
     holds_rig: bool = False  # no update changes `rig_error`
     known_seen: int = 0  # discs beyond their trial that took part in the last update
@@ -82,14 +82,30 @@ class So3State:
     @property
     def centre(self) -> Array:
         """(3,) m, obj, of the ball from its calibrated place."""
-        return self.seen_rig[1:]
+        return self.pivot + self.attitude @ self.eccentricity
+
+    @property
+    def pivot(self) -> Array:
+        """(3,) m, obj, of the point that the ball turns about from its calibrated place."""
+        return self.rig_error[1:]
+
+    @property
+    def centre_covariance(self) -> Array:
+        """Covariance of `centre`, (3, 3) m²."""
+        J = np.hstack([self.attitude, np.zeros((3, 1)), np.eye(3)])
+        rows = slice(ECCENTRICITY.start, CENTRE.stop)
+        return J @ self.joint[rows, rows] @ J.T
 
     @property
     def seen_rig(self) -> Array:
-        """(4,) error of focal length and centre, as `SpherePoints` has it, at this attitude."""
-        seen = self.rig_error.copy()
-        seen[1:] += self.attitude @ self.eccentricity
-        return seen
+        """(4,) error of focal length and centre at this attitude, about which `SpherePoints` is linear.
+
+        An eccentricity that is not significant does not count.
+        """
+        e, P = self.eccentricity, self.joint
+        if e @ e < P[9, 9] + P[10, 10] + P[11, 11]:
+            return self.rig_error
+        return np.append(self.rig_error[:1], self.centre)
 
     @property
     def map_row(self) -> int:
@@ -289,10 +305,10 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (23 + 2m,); then no prediction is pending.
+    """Move the state by an error vector, (23 + 8p + 2l,); then no prediction is pending.
 
-    `joint` (23 + 2m, 23 + 2m) is the covariance of the errors before the move, and `weights` (l,) the probability of
-    the levels. None keeps the old one. `used` (k,) are indices of the points in the update.
+    `joint` is the covariance of the errors before the move, and `weights` (l,) the probability of the levels. None
+    keeps the old one. `used` (k,) are indices of the points in the update.
     """
     body = state.body if joint is None else (*state.body[:5], joint, *state.body[6:])
     motion, moved, readout, rig_error, eccentricity = kernels.move(body, dx)
@@ -342,20 +358,23 @@ def with_rig_uncertainty(state: So3State, covariance: Array) -> So3State:
     return replace(state, joint=joint)
 
 
-def with_seen_centre(state: So3State, place: Array, axes: Array, covariance: Array) -> So3State:
+def with_seen_centre(
+    state: So3State, place: Array, axes: Array, covariance: Array, since: Array | None = None
+) -> So3State:
     """Return a predicted state corrected by the centre's `place`, (k,) m, along `axes`, (3, k), with its covariance.
 
+    The place is from that in the rig, or from that of a ball in the rig at the attitude `since`, (3, 3).
     Rate and acceleration keep their values, since the pending modes describe them.
     """
-    P = state.joint
-    C = P[:, CENTRE] @ axes + P[:, ECCENTRICITY] @ state.attitude.T @ axes
-    S = axes.T @ (C[CENTRE] + state.attitude @ C[ECCENTRICITY]) + covariance
+    P, turned = state.joint, state.attitude if since is None else state.attitude - since
+    C = P[:, CENTRE] @ axes + P[:, ECCENTRICITY] @ turned.T @ axes
+    S = axes.T @ (C[CENTRE] + turned @ C[ECCENTRICITY]) + covariance
     K = np.linalg.solve(S, C.T).T
     K[3:KINEMATIC_DIM] = 0.0
     reduced = K @ C.T
     joint = P - reduced - reduced.T + K @ S @ K.T
     motion, joint, readout, rig_error, eccentricity = kernels.move(
-        (*state.body[:5], joint, *state.body[6:]), K @ (place - axes.T @ state.centre)
+        (*state.body[:5], joint, *state.body[6:]), K @ (place - axes.T @ (state.pivot + turned @ state.eccentricity))
     )
     attitude, _, _, landmarks, basis = motion
     fields = {"attitude": attitude, "landmarks": landmarks, "basis": basis, "joint": joint}
@@ -382,7 +401,7 @@ def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
 
 
 def _with_others(state: So3State, covariance: Array, others: tuple[OtherCamera, ...]) -> So3State:
-    """Return the state with errors of further cameras, of a `covariance` (7k, 7k), before the readout's error."""
+    """Return the state with errors of further cameras, of a `covariance` (8k, 8k), before the readout's error."""
     k, n = len(covariance), state.map_row - 1
     joint, old = np.zeros((len(state.joint) + k, len(state.joint) + k)), np.r_[:n, n + k : len(state.joint) + k]
     joint[np.ix_(old, old)], joint[n : n + k, n : n + k] = state.joint, covariance

@@ -25,7 +25,17 @@ from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
-from spheremouse.ball.state import BufferedFrame, CentreCheck, Events, Learning, Lost, Tracker, TrackState, lost
+from spheremouse.ball.state import (
+    BufferedFrame,
+    CentreCheck,
+    Events,
+    Learning,
+    Lost,
+    Tracker,
+    Tracking,
+    TrackState,
+    lost,
+)
 
 # Filters a frame: the state before it, its stamp, the tracker, and the prediction
 Follow = Callable[[TrackState[So3State], float, Tracker[So3Filter], So3State], TrackState[So3State]]
@@ -105,7 +115,6 @@ def check_bearings(
     If the frame shows a shift, filter it again with an uncertain rig, a centre that moves, or both. If the centre is
     then too far from its usual place, report the ball lost.
     """
-    state = _with_eccentricity(before, state, stamp, tracker)
     no_doubt = state.centre.evidence < _NEGLIGIBLE_NIS and not _is_doubtful(state)
     if no_doubt and predicted.centre_noise == 0.0 and not state.outline.has_moved:
         return state, ()
@@ -121,19 +130,19 @@ def check_bearings(
     elif predicted.centre_noise > 0.0 and state.confirmed:
         state = with_learnt_noise(before, state, dt, tracker)
     if check.turned < PROOF_ROTATION:
-        check = check._replace(home=state.filter.centre, turned=check.turned + _proof(state, shift, dt, tracker))
+        check = check._replace(home=state.filter.pivot, turned=check.turned + _proof(state, shift, dt, tracker))
         return state._replace(centre=check), events
     state, more = with_usual_place(state._replace(centre=check), stamp, dt, tracker, predicted)
     return state, (*events, *more)
 
 
-def _with_eccentricity(
+def with_eccentricity(
     before: TrackState[So3State], state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
 ) -> TrackState[So3State]:
     """Return the state of an eccentric ball if the frames show that it is one; `before` is that before the frame."""
     f = state.filter
     is_due = stamp // _ECCENTRIC_CHECK_S != before.filter.stamp // _ECCENTRIC_CHECK_S
-    if not (is_due and state.confirmed) or float(f.rate @ f.rate) < RESTS**2:
+    if not (is_due and state.confirmed and isinstance(state.phase, Tracking)) or float(f.rate @ f.rate) < RESTS**2:
         return state
     eccentric = as_eccentric(f, tracker.rig.ball.radius)
     return state if eccentric is None else state._replace(filter=eccentric)
@@ -147,7 +156,7 @@ def with_usual_place(
     `predicted` is the filter's state predicted for the frame.
     """
     check, radius = state.centre, tracker.rig.ball.radius
-    path = state.filter.centre - check.home
+    path = state.filter.pivot - check.home
     if float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         blind = replace(blind, rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
@@ -204,7 +213,10 @@ def back_on_bearings(
     if phase.lifted_at is None:
         return True
     shift = _shift(state, filter_state, tracker)
-    return shift is not None and centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
+    if shift is None:
+        return False
+    shift = shift._replace(shift=shift.shift - (filter_state.centre - state.points.rig_error[1:]))
+    return centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
 
 
 def interval(before: TrackState[So3State], stamp: float) -> float:
@@ -221,7 +233,7 @@ def _update_evidence(
         shift = _shift(state, f, tracker)
         if shift is None or shift.chi2_with_offset > centre_offset.MISFIT:  # these are no discs of this ball
             return check, None
-        C = shift.covariance + f.joint[CENTRE, CENTRE]
+        C = shift.covariance + f.centre_covariance
         squared = float(shift.shift @ np.linalg.solve(C, shift.shift)) / max(shift.chi2_with_offset, 1.0)
     return with_evidence(check, squared, dt), shift
 
@@ -288,7 +300,7 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
     if not centre_offset.fits(shift, radius, lifted):
         return 0.0
     speed = float(np.linalg.norm(state.filter.rate))
-    variance = shift.sigma**2 + float(np.trace(state.filter.joint[CENTRE, CENTRE]))
+    variance = shift.sigma**2 + float(np.trace(state.filter.centre_covariance))
     return speed * dt * min(1.0, (_PROOF_SIGMA * radius) ** 2 / max(variance, 1e-18))
 
 
@@ -316,7 +328,7 @@ def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:
     q = before.centre_noise * dt
     P = before.joint[CENTRE, CENTRE] + q * np.eye(3)
     G = q * np.linalg.inv(P)
-    step = G @ (filtered.rig_error[1:] - before.rig_error[1:])
+    step = G @ (filtered.pivot - before.pivot)
     C = q * np.eye(3) - G @ (P - filtered.joint[CENTRE, CENTRE]) @ G.T
     keep = math.exp(-dt / _NOISE_TIME_S)
     return keep * before.centre_noise + (1.0 - keep) * float(step @ step + np.trace(C)) / (3.0 * dt)

@@ -35,6 +35,7 @@ _MAX_CHI2 = 10.83  # chi-square with one degree of freedom, 99.9 %
 _MIN_CHI2_DIFFERENCE = 30.0
 # radii, or relative for the focal length: a shift that places a disc at the limb to a tenth of a pixel, to first order
 _MAX_LINEAR_SHIFT = 0.005
+_SAME_RIG = 1e-6  # relative, and m: with so small a difference, intersections are the same
 _ITERATIONS = 3  # each leaves a tenth of the error
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
@@ -124,7 +125,7 @@ def filtered_again(
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
         points = view.points.take(free)
         held = filtered.rig_error if filtered.centre_noise > 0.0 else assumed
-        if (held != points.rig_error).any():
+        if np.abs(held - points.rig_error).max() > _SAME_RIG:
             points = intersect(view.detections, tracker.rig, tracker.pose, held, points.index)
         state = state._replace(filter=filtered, points=points, detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)

@@ -8,7 +8,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_map import to_map, with_map, without_candidates
 from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common
-from spheremouse.ball.phases.bearing import check_bearings, check_learning
+from spheremouse.ball.phases.bearing import check_bearings, check_learning, with_eccentricity
 from spheremouse.ball.phases.follow import follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all
 from spheremouse.ball.phases.recover import recognise, recognise_older_map, recover
@@ -52,7 +52,10 @@ def _next_phase(
                 if events:
                     return state, events
             exact = tracker.detector.is_exact and state.filter.stamp == stamp  # else the frame is not used
-            return check_bearings(before, state, stamp, tracker, predicted) if exact else (state, ())
+            if not exact:
+                return state, ()
+            state, events = check_bearings(before, state, stamp, tracker, predicted)
+            return with_eccentricity(before, state, stamp, tracker), events
         case Lost():
             return recover(state, state.phase, stamp, tracker, predicted)
 

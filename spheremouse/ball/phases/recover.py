@@ -16,6 +16,7 @@ from spheremouse.ball.state import (
     F,
     Learning,
     Lost,
+    OutlineCheck,
     Recognising,
     Tracker,
     Tracking,
@@ -185,7 +186,7 @@ def recognise(
     if recognised is not None:
         filtered, pairs = recognised
         state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
-        return state._replace(absolute=True), (Recognised(pairs, saved=True),)
+        return _in_other_axes(state)._replace(absolute=True), (Recognised(pairs, saved=True),)
     before = phase.in_view_since
     in_view = state.most_in_view(stamp)
     too_few = in_view < _MIN_DISCS_AGAINST_MAP
@@ -215,7 +216,13 @@ def recognise_older_map(
     filtered, pairs = recognised
     state = state._replace(lookalikes=forget(state.lookalikes))
     state = start_tracking(state, Tracking(), filtered.clone_attitude(), filtered.attitude, stamp)
-    return state, (Recognised(pairs, saved=saved, older=True),)
+    return _in_other_axes(state), (Recognised(pairs, saved=saved, older=True),)
+
+
+def _in_other_axes(state: TrackState[So3State]) -> TrackState[So3State]:
+    """Return the state that measures outlines anew. Before, the attitude was in the axes of another map."""
+    others = tuple(other._replace(outline=OutlineCheck()) for other in state.others)
+    return state._replace(outline=OutlineCheck(), others=others)
 
 
 def _on_older_map(

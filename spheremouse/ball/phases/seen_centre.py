@@ -92,9 +92,8 @@ def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:
         return predicted
     if first is None:
         return with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
-    place, covariance = _eccentric_part(seen.axes, check.attitude, predicted)
-    covariance += seen.scatter + first.scatter
-    return with_seen_centre(predicted, seen.place - first.place + place, seen.axes, covariance)
+    covariance = seen.scatter + first.scatter
+    return with_seen_centre(predicted, seen.place - first.place, seen.axes, covariance, check.attitude)
 
 
 def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter]) -> So3State:
@@ -110,17 +109,9 @@ def _compared_with_first(check: OutlineCheck, predicted: So3State) -> OutlineChe
     seen, first = check.seen, check.first
     if seen is None or first is None:
         return check
-    turned, covariance = _eccentric_part(seen.axes, predicted.attitude - check.attitude, predicted)
-    step, covariance = seen.place - first.place - turned, covariance + seen.covariance + first.scatter
+    turned = seen.axes.T @ (predicted.attitude - check.attitude)
+    step = seen.place - first.place - turned @ predicted.eccentricity
+    covariance = seen.covariance + first.scatter + turned @ predicted.joint[ECCENTRICITY, ECCENTRICITY] @ turned.T
     if float(step @ np.linalg.solve(covariance, step)) > _MOVED_SIGMAS**2:
         return check._replace(away=check.away + 1)
     return check._replace(away=0, drift=max(check.drift, float(np.linalg.norm(step))))
-
-
-def _eccentric_part(axes: Array, attitude: Array, state: So3State) -> tuple[Array, Array]:
-    """Return the eccentricity at an `attitude`, or its change by a change of that, along `axes`, (3, 2), obj.
-
-    The second part is its covariance, (2, 2) m².
-    """
-    along = axes.T @ attitude
-    return along @ state.eccentricity, along @ state.joint[ECCENTRICITY, ECCENTRICITY] @ along.T

@@ -9,7 +9,7 @@ import numpy as np
 
 from spheremouse.ball.events import OutOfRound
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import CENTRE, So3State, with_seen_centre
+from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.phases.bearing import (
     MAX_DRIFT,
@@ -73,7 +73,8 @@ def measure_centre(
 
 def is_lifted(seen: SeenCentre, state: TrackState[So3State], tracker: Tracker[So3Filter]) -> bool:
     """Return whether the ball is significantly off its usual place, by more than half of the way of a lifted ball."""
-    path = seen.place - seen.axes.T @ state.centre.home
+    f = state.filter
+    path = seen.place - seen.axes.T @ (state.centre.home + f.attitude @ f.eccentricity)
     far = float(path @ path) > (0.5 * tracker.settings.loss.lifted * tracker.rig.ball.radius) ** 2
     return far and _squared_mahalanobis(path, seen.covariance) > _SIGNIFICANT_SIGMAS**2
 
@@ -134,7 +135,7 @@ def follow_in_bearings(
 
 def _displacement(seen: SeenCentre, predicted: So3State) -> tuple[Array, Array]:
     """Return the way, (2,) m along the axes, from the predicted to the measured centre, and its covariance, (2, 2)."""
-    covariance = seen.covariance + seen.axes.T @ predicted.joint[CENTRE, CENTRE] @ seen.axes
+    covariance = seen.covariance + seen.axes.T @ predicted.centre_covariance @ seen.axes
     return seen.place - seen.axes.T @ predicted.centre, covariance
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from so3_world import DT, FILTER, RADIUS, SIGMA, points_at, seen
 
 from spheremouse.ball.filters.so3_eccentric import _ECCENTRIC_SIGMA, as_eccentric
-from spheremouse.ball.filters.so3_state import ECCENTRICITY
+from spheremouse.ball.filters.so3_state import ECCENTRICITY, RIG
 from spheremouse.geometry.rotation import exp, log
 
 FRAMES = 150
@@ -95,5 +95,6 @@ def test_an_update_holds_what_the_prior_of_the_rig_holds():
     assert state.holds_rig
     eccentric = as_eccentric(state, RADIUS)
     assert_allclose(eccentric.rig_error, state.rig_error, atol=1e-12)
+    assert_allclose(eccentric.joint[RIG, RIG], state.joint[RIG, RIG], rtol=1e-6)
     assert np.linalg.eigvalsh(eccentric.joint).min() > -1e-12
     assert as_eccentric(eccentric, RADIUS) is None
