@@ -215,7 +215,7 @@ def back_on_bearings(
     shift = _shift(state, filter_state, tracker)
     if shift is None:
         return False
-    shift = shift._replace(shift=shift.shift - (filter_state.centre - state.points.rig_error[1:]))
+    shift = replace(shift, shift=shift.shift - (filter_state.centre - state.points.rig_error[1:]))
     return centre_offset.fits(shift, tracker.rig.ball.radius, tracker.settings.loss.lifted)
 
 
