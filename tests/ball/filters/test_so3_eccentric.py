@@ -95,6 +95,6 @@ def test_an_update_holds_what_the_prior_of_the_rig_holds():
     assert state.holds_rig
     eccentric = as_eccentric(state, RADIUS)
     assert_allclose(eccentric.rig_error, state.rig_error, atol=1e-12)
-    assert_allclose(eccentric.joint[RIG, RIG], state.joint[RIG, RIG], rtol=1e-6)
+    assert_allclose(eccentric.joint[RIG, RIG], state.joint[RIG, RIG], rtol=1e-6, atol=1e-20)
     assert np.linalg.eigvalsh(eccentric.joint).min() > -1e-12
     assert as_eccentric(eccentric, RADIUS) is None
