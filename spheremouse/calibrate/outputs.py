@@ -20,11 +20,14 @@ _MARKS = {"good": ("✓", "green"), "note": ("i", "blue"), "warning": ("!", "yel
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], *, force: bool) -> None:
     """Refuse outputs that cannot be written, or that exist; `-` and None are no files.
 
-    An output never replaces an input or another output, even with `force`.
+    An output never replaces an input, a file in a folder of the inputs, or another output, even with `force`.
     """
     paths = [p for p in outputs if p is not None and p != Path("-")]
     given = [path for path in inputs if path is not None]
-    read = {p.resolve() for path in given for p in (path, *(path.iterdir() if path.is_dir() else ()))}
+    used = {path.resolve() for path in given}
+    for path in filter(os.path.isdir, given):  # of a name that is too long, Path.is_dir raises OSError
+        with os_errors_as(CalibrationError, f"{path}: cannot be read"):
+            used |= {p.resolve() for p in path.iterdir()}
     for i, path in enumerate(paths):
         if path.is_dir():
             raise CalibrationError(f"{path}: is a folder; name a file")
@@ -32,8 +35,8 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None],
             raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
         if not os.access(path.parent, os.W_OK | os.X_OK):
             raise CalibrationError(f"{path}: the folder {path.parent} may not be written; name a file elsewhere")
-        if path.resolve() in read:
-            raise CalibrationError(f"{path}: is read by this very command; name another file to write")
+        if path.resolve() in used:
+            raise CalibrationError(f"{path}: is read or written by this very command; name another file to write")
         if path.resolve() in [p.resolve() for p in paths[:i]]:
             raise CalibrationError(f"{path}: would be written twice; give each output a name of its own")
     if not force and (existing := [str(p) for p in paths if p.exists()]):

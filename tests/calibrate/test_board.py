@@ -62,9 +62,9 @@ def cabinet(tmp_path):
 @pytest.mark.parametrize(
     ("outputs", "words"),
     [
-        (["device.yaml"], "is read by this very command"),
-        (["device/../camera.yaml"], "is read by this very command"),
-        (["device/1.jpg"], "is read by this very command"),
+        (["device.yaml"], "is read or written by this very command"),
+        (["device/../camera.yaml"], "is read or written by this very command"),
+        (["device/1.jpg"], "is read or written by this very command"),
         (["rig.yaml", "rig.yaml"], "written twice"),
         (["device"], "is a folder"),
         (["nowhere/rig.yaml"], "there is no folder"),
@@ -74,6 +74,15 @@ def test_no_output_destroys_an_input_or_another_output(cabinet, outputs, words, 
     inputs = [cabinet / "device", cabinet / "device.yaml", cabinet / "camera.yaml", None]
     with pytest.raises(CalibrationError, match=words):
         check_outputs([cabinet / name for name in outputs], inputs, force=force)
+
+
+def test_an_input_folder_that_may_not_be_read_is_refused(cabinet, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("pathlib.Path.iterdir", refuse)  # root may read every folder
+    with pytest.raises(CalibrationError, match="device: cannot be read: Permission denied"):
+        check_outputs([cabinet / "rig.yaml"], [cabinet / "device"], force=True)
 
 
 def test_what_is_there_is_replaced_with_force_only(cabinet):

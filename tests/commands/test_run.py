@@ -254,11 +254,16 @@ def test_a_truncated_recording_is_tracked_as_far_as_it_goes(spheremouse, images,
         (["--map", "nowhere/m.yaml"], "nowhere/m.yaml: no such folder; name a place for the map with --map, "),
         (["--no-map", "--map=m.yaml"], "--map and --no-map: give one of the two"),
         (["--overlay", "nowhere/seen.mkv"], "nowhere/seen.mkv: there is no folder nowhere; "),
+        (["--output", "text:seen.mkv", "--overlay", "seen.mkv"], "seen.mkv: is read or written by this very command; "),
+        (
+            ["--source", f"synthetic:{'seconds=1,' * 40}", "--overlay", "nowhere/seen.mkv"],
+            "nowhere/seen.mkv: there is no folder nowhere; ",
+        ),
     ],
     ids=lambda p: p[-1] if isinstance(p, list) else "",
 )
 def test_a_slip_is_answered_in_one_line(spheremouse, roll, empty_folder, words, message):
-    given = {"--source": f"dataset:{roll}", "--output": "text:-"} | dict([words])
+    given = {"--source": f"dataset:{roll}", "--output": "text:-"} | dict(zip(words[::2], words[1::2], strict=True))
     said = spheremouse.fail("run", *(w for pair in given.items() for w in pair))
     assert f"{said}\n".startswith(message)
     assert list(empty_folder.iterdir()) == []

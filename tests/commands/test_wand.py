@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from experiments.kit.balls import contrast_ball, led_ball
-from invoking import fail, succeed
+from invoking import fail, invoke, succeed
 
 from spheremouse.commands import app
 from spheremouse.errors import ConfigurationError
@@ -73,6 +73,12 @@ def test_evaluate_refuses_what_does_not_go_with_a_wand(tmp_path, words, said):
     assert said in refused("evaluate", tmp_path, "--tracker", "wand", *words)
 
 
+@pytest.mark.parametrize(("option", "value"), [("--runs", 0), ("--pose", "maybe")])
+def test_evaluate_refuses_other_values(tmp_path, option, value):
+    code, said = invoke(app, "evaluate", tmp_path, "--tracker", "wand", option, value)
+    assert (code, f"Invalid value for '{option}'" in said) == (2, True)
+
+
 def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
     image, true = shot
     picked = pick_bounds(image, grzonka_ball())
@@ -133,14 +139,14 @@ def test_the_command_writes_bounds_and_picture_and_its_next_step_can_be_taken(pi
         (("--out", out), "wand.yaml: there already; name another file, or replace it with --force"),
         (("--show", own), "own.png: there already; name another file, or replace it with --force"),
         (("--show", tmp_path / "folder.colours.png"), "folder.colours.png: is a folder; name a file"),
-        (("--show", picture, "--force"), "hand.png: is read by this very command"),
-        (("--show", own, "--out", own, "--force"), "own.png: is read by this very command"),
+        (("--show", picture, "--force"), "hand.png: is read or written by this very command"),
+        (("--show", own, "--out", own, "--force"), "own.png: is read or written by this very command"),
     ):
         assert said in refused("wand", "colours", picture, *words)
     assert own.read_bytes() == b"a photo"
     overlay = tmp_path / "named.colours.png"
     picture.rename(overlay)
-    assert "is read by this very command" in refused("wand", "colours", overlay, "--show", overlay)
+    assert "is read or written by this very command" in refused("wand", "colours", overlay, "--show", overlay)
 
 
 def test_bounds_that_select_everything_are_to_be_narrowed(picture, tmp_path):
