@@ -202,7 +202,7 @@ class OutputThread:
     # ---- the thread ----
 
     def _run(self) -> None:
-        """Send what is due until `close`, and what is queued then.
+        """Send what is due until `close`, and what is queued then. Then it opens no failed output again.
 
         After an unexpected exception, `_work` opens the output again with delay.
         """
@@ -226,7 +226,8 @@ class OutputThread:
 
     def _work(self) -> float:
         """Do all work that is due, and return the time (s) until the next, if no report is submitted before."""
-        if self._output is None and not self.ended and monotonic() >= self._retry_time:
+        given_up = self.ended or (self._closing and self._failed is not None)
+        if self._output is None and not given_up and monotonic() >= self._retry_time:
             self._open_again()
         if self._acknowledges:
             self._check_delivery()

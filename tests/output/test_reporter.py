@@ -285,6 +285,30 @@ def test_a_pause_ends_the_prediction(start):
 # ---- outputs that fail ----
 
 
+def test_the_end_sends_what_is_queued_even_if_the_thread_runs_late():
+    world, threads = World(), []
+    reporter = OutputThread(world.open, EXACT, world.said.append, threads.append)
+    for _ in range(100):
+        reporter.submit(report(1, 0, 0, stamp=0.0), time.monotonic())
+    reporter.close()
+    threads[0].start()
+    threads[0].join(PATIENCE)
+    assert world.sum == reporter.status().sent == (100, 0, 0)
+
+
+def test_the_end_opens_no_failed_output_again(start, monkeypatch):
+    monkeypatch.setattr(module, "RETRY_DELAYS", (0.0,))
+    world = World(gate=threading.Event(), broken=OutputError("gone"))
+    reporter, given = start(world)
+    for _ in range(100):
+        given(1, 0, 0)
+    until(lambda: reporter.queued[0] == 99)
+    threading.Timer(0.1, world.gate.set).start()  # `close` waits by then
+    reporter.close()
+    until(lambda: len(world.closed) == 1 and even(reporter, given))
+    assert (world.opened, reporter.unsent) == (1, (100, 0, 0))
+
+
 def test_a_failure_at_the_end_is_logged(start):
     world = World()
     reporter, given = start(world)
