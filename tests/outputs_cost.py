@@ -117,6 +117,7 @@ def receiver(spec):
         yield
     finally:
         process.kill()
+        process.join()
 
 
 def median(values):

@@ -67,7 +67,8 @@ def test_a_guide_is_whole_and_no_other_replaces_it_without_force(tmp_path):
     found = json.loads(file)
     polar = np.arccos(np.array(found["directions"])[:, 2])
     assert_allclose(600.0 * polar, [place["from_pole"] for place in found["places_mm"]], atol=0.01)
-    assert "there already" in fail(app, "layout", "--discs", 12, "--seed", 1, "--out", folder)
+    said = fail(app, "layout", "--discs", 12, "--seed", 1, "--out", folder)
+    assert "there already; name another file, or replace it with --force" in said
     assert (folder / "guide.html").read_text() == page
     run("--discs", 12, "--seed", 1, "--out", folder, "--force")
     assert (folder / "guide.html").read_text() != page

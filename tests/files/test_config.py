@@ -400,7 +400,7 @@ def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path, monkeypatc
     assert [line.strip() for line in result.stdout.splitlines() if "default" in line] == ["gate: 0.5  # default: null"]
 
 
-def test_check_and_show_print_problems_and_fail(run, tmp_path):
+def test_check_and_show_print_problems_and_fail(run, tmp_path, spheremouse):
     (tmp_path / "my.yaml").write_text("schema: 2\ntraker: so3\nso3: {gate: 7}\n")
     expected = (
         "my.yaml:2: traker: unknown key; did you mean tracker?\n"
@@ -410,6 +410,7 @@ def test_check_and_show_print_problems_and_fail(run, tmp_path):
     assert (result.exit_code, result.stdout, result.stderr) == (2, "", expected)
     shown = run("show", "--config", "my.yaml")
     assert (shown.stdout, f"{shown.exception}\n") == ("", expected)
+    assert spheremouse.fail("config", "show", "--set", "x=1").startswith("--set x: unknown key")
 
 
 def test_a_written_null_output_is_the_output_null_and_none_is_written_as_a_comment(tmp_path):

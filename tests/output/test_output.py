@@ -198,6 +198,11 @@ def test_the_plug_in_of_the_docs_prints_what_it_gets(monkeypatch, capsys):
     assert capsys.readouterr().out == "red (1, -2, 3) [0.5 0.  0. ]\n"
 
 
+def test_an_unknown_kind_names_the_nearest_or_all():
+    assert refused("txt:-") == "unknown output 'txt:-'; did you mean text?"
+    assert "known here: auto, csv, " in refused("xyzzy:-")
+
+
 @pytest.mark.parametrize("kind", ["udp", "tcp", "osc"])
 def test_a_bad_address_names_a_right_one(kind):
     for bad in ("", "localhost", "127.0.0.1:http", "127.0.0.1:0", "127.0.0.1:65536", "a:-1"):
@@ -212,8 +217,14 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, kind, package):
     assert refused(f"{kind}:a") == f"{kind}: needs the package {package}; pip install 'spheremouse[{kind}]'"
 
 
+def send_and_fail(spec):
+    with open_output(spec) as output:
+        output.send(turned(1))
+        raise ZeroDivisionError
+
+
 def test_leaving_does_not_hide_errors(tmp_path):
     for spec in (f"text:{tmp_path / 'log.txt'}", "null"):
-        with pytest.raises(ZeroDivisionError), open_output(spec) as output:
-            output.send(turned(1 // 0))
+        with pytest.raises(ZeroDivisionError):
+            send_and_fail(spec)
     assert "takes no argument" in refused("null:x")
