@@ -2,7 +2,7 @@
 
 The centre of such a ball moves round the point that the bearings hold, at a fixed place in the axes of the ball. A
 state holds this eccentricity with a negligible standard deviation, so it costs a good ball nothing. But its covariances
-then hold what frames have shown of it, and how all other errors depend on it (Friedland 1969, "Treatment of bias in
+have the information of all frames about it, and its effect on all other errors (Friedland 1969, "Treatment of bias in
 recursive filtering"). So its standard deviation can become that of an eccentric ball at any time, as if it had been so
 from the start.
 """
@@ -18,11 +18,11 @@ from spheremouse.geometry.rotation import Array
 ROUND_SIGMA = 1e-5  # radii, negligible standard deviation along each axis
 _ECCENTRIC_SIGMA = 2e-3  # radii, standard deviation for an eccentric ball: a millimetre on a ball of a metre
 _MIN_LOG_ODDS = 3.0  # nats, odds of 20 to 1 for an eccentric ball
-_MAX_SIGMAS = 6.0  # of that standard deviation: what looks like more is something else
+_MAX_SIGMAS = 6.0  # of that standard deviation: a larger estimate has another cause
 
 
 class _Shown(NamedTuple):
-    """What frames have shown of the eccentricity, without a prior."""
+    """Information of the frames about the eccentricity, without a prior."""
 
     score: Array  # (3,) 1/m, along the axes
     information: Array  # (3,) 1/m², along the axes

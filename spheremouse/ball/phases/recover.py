@@ -220,7 +220,7 @@ def recognise_older_map(
 
 
 def _in_other_axes(state: TrackState[So3State]) -> TrackState[So3State]:
-    """Return the state that measures outlines anew. Before, the attitude was in the axes of another map."""
+    """Return the state that measures outlines again. Before, the attitude was in the axes of another map."""
     others = tuple(other._replace(outline=OutlineCheck()) for other in state.others)
     return state._replace(outline=OutlineCheck(), others=others)
 
