@@ -154,9 +154,8 @@ class OutlineCheck(NamedTuple):
 
     def again(self, first: SeenCentre | None) -> "OutlineCheck":
         """Return a new check from the place `first`, at the same pose."""
-        return OutlineCheck(begun=True, trust=self.trust, size_sigma=self.size_sigma)._replace(
-            first=first, attitude=self.attitude
-        )
+        attitude, trust, size_sigma = self.attitude, self.trust, self.size_sigma
+        return OutlineCheck(begun=True, first=first, attitude=attitude, trust=trust, size_sigma=size_sigma)
 
 
 class Tracking(NamedTuple):

@@ -15,7 +15,7 @@ import math
 
 KINEMATIC_DIM = 9  # rotation, rate, acceleration
 RIG_ROW = KINEMATIC_DIM + 3  # of the rig, after the eccentricity
-RIG_DIM = 4  # focal length and centre
+RIG_DIM = 4  # focal length and the point that the ball turns about
 AXES = RIG_ROW + RIG_DIM  # of obj, after the rig
 READOUT = AXES + 3  # of the rolling shutter of one camera; the errors of others come before it
 MAP_OFFSET = READOUT + 1  # of the discs' errors with one camera

@@ -102,8 +102,8 @@ class So3State:
 
         An eccentricity that is not significant does not count.
         """
-        e, P = self.eccentricity, self.joint
-        if e @ e < P[9, 9] + P[10, 10] + P[11, 11]:
+        e = self.eccentricity
+        if e @ e < self.joint.diagonal()[ECCENTRICITY].sum():
             return self.rig_error
         return np.append(self.rig_error[:1], self.centre)
 
