@@ -4,7 +4,7 @@ The map lasts longer than a run. It is kept beside the rig, and makes the next r
 frame. Two maps are compared: whether they show the same ball, and which discs stayed, moved, are gone or new.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +32,8 @@ class DiscMap:
     covariance: Array  # (2m, 2m) rad², of errors along rotation.tangent_basis(directions)
     sightings: NDArray[np.intp]  # (m,) frames in which each was seen
     projection: Projection = GREY  # of colours, in which the discs are darker than the ball
+    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, ball, from the pivot to the centre
+    eccentricity_sigma: float = 0.0  # m, its largest standard deviation; 0: the frames show no eccentricity
 
     kind: ClassVar[str] = "discs"
     alteration: ClassVar[str] = "its discs were moved"
@@ -89,14 +91,20 @@ class DiscMap:
         )
 
     def improves(self, saved: "DiscMap") -> bool:
-        """Return whether this map has other discs than a saved one, or one with less than half its deviation."""
+        """Return whether this map has other discs than a saved one, one with less than half its deviation, or a centre.
+
+        The centre's place must be new, or known with less than half its deviation.
+        """
+        now, then = self.eccentricity_sigma, saved.eccentricity_sigma
+        if now > 0.0 and not 2.0 * now >= then > 0.0:
+            return True
         comparison = saved.compare_at(self, np.eye(3))
         i, j = comparison.stayed.T
         better = variances(self)[j] < 0.25 * variances(saved)[i]
         return len(i) < len(saved) or len(j) < len(self) or bool(np.any(better))
 
     def turned(self, rotation: Array) -> "DiscMap":
-        """Return the map with its directions d replaced by rotation @ d, and the covariance in the tangent bases there.
+        """Return the map with its vectors d replaced by rotation @ d, and the covariance in the tangent bases there.
 
         `rotation` is (3, 3).
         """
@@ -104,7 +112,7 @@ class DiscMap:
         basis_change = np.swapaxes(tangent_basis(directions), 1, 2) @ rotation @ tangent_basis(self.directions)
         blocks = self.covariance.reshape(m, 2, m, 2)
         covariance = np.einsum("iab,ibjc,jdc->iajd", basis_change, blocks, basis_change).reshape(2 * m, 2 * m)
-        return replace(self, directions=directions, covariance=covariance)
+        return replace(self, directions=directions, covariance=covariance, eccentricity=rotation @ self.eccentricity)
 
 
 @dataclass(frozen=True, slots=True)

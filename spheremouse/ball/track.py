@@ -261,7 +261,7 @@ def advance(
         detections,
         tracker.rig,
         tracker.pose,
-        carried.rig_error if state.status is Status.LOST else carried.seen_rig,
+        carried.seen_rig if state.status is Status.TRACKING else carried.rig_error,
         which,
     )
     state = state._replace(

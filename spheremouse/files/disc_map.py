@@ -26,6 +26,7 @@ _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps f
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # likewise
 Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # as in the rig file
 Sigma = Annotated[float, Field(ge=0, lt=10)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
 Weight = Annotated[float, Field(ge=-1, le=1)]
 
 
@@ -43,9 +44,15 @@ class DiscItem(Part):
     sightings: int = Field(ge=0, lt=10**15, description="frames in which the disc was seen")
 
 
-class LandmarksFile(MapHeader):
-    """Directions with their joint covariance."""
+class CentreItem(Part):
+    place: tuple[Coordinate, Coordinate, Coordinate] = Field(description="[x, y, z] in ball from the pivot, m")
+    sigma: Positive = Field(description="its largest standard deviation in m")
 
+
+class LandmarksFile(MapHeader):
+    """Directions with their joint covariance, and the centre of an eccentric ball."""
+
+    centre: CentreItem | None = Field(default=None, description="of an eccentric ball: {place, sigma}")
     discs: tuple[DiscItem, ...] = Field(
         min_length=1, max_length=MAX_DISCS, description="list of {direction, sigma, sightings}"
     )
@@ -78,7 +85,12 @@ def lines(header: list[str], disc_map: DiscMap, disc_radius: float) -> list[str]
 
 def landmark_lines(disc_map: DiscMap) -> list[str]:
     sigma, root = _factor(disc_map.covariance)
-    lines = ["discs:"]
+    lines = list[str]()
+    if disc_map.eccentricity_sigma > 0.0:
+        place = ", ".join(f"{x:.4e}" for x in disc_map.eccentricity)
+        sigma_of_centre = f"sigma: {disc_map.eccentricity_sigma:.4e}"
+        lines.append(f"centre: {{place: [{place}], {sigma_of_centre}}}  # m, from the point that the ball turns about")
+    lines.append("discs:")
     for direction, s, sightings in zip(disc_map.directions, sigma.reshape(-1, 2), disc_map.sightings, strict=True):
         x, y, z = direction
         lines.append(
@@ -119,11 +131,15 @@ def landmarks(file: LandmarksFile) -> DiscMap:
     for i, text in enumerate(file.correlation_root):
         root[i, : i + 1] = np.array(text.split(), dtype=float)
     root /= np.linalg.norm(root, axis=1, keepdims=True)
-    return DiscMap(
+    found = DiscMap(
         directions / np.linalg.norm(directions, axis=1, keepdims=True),
         (root @ root.T) * np.outer(sigma, sigma),
         np.array([d.sightings for d in file.discs], dtype=np.intp),
     )
+    centre = file.centre
+    if centre is None:
+        return found
+    return replace(found, eccentricity=np.array(centre.place), eccentricity_sigma=centre.sigma)
 
 
 def landmark_problems(file: LandmarksFile) -> Iterator[Problem]:

@@ -78,7 +78,7 @@ def test_a_turned_map_has_the_covariance_of_turned_samples():
     rng = np.random.default_rng(1)
     d = directions(5, 9)
     A = rng.normal(size=(10, 10)) * 1e-3
-    before = DiscMap(d, A @ A.T, np.arange(5))
+    before = DiscMap(d, A @ A.T, np.arange(5), eccentricity=1e-3 * d[0])
     R = Rotation.random(rng=2).as_matrix()
     after = before.turned(R)
     e = rng.multivariate_normal(np.zeros(10), before.covariance, size=40_000)
@@ -91,6 +91,16 @@ def test_a_turned_map_has_the_covariance_of_turned_samples():
     np.testing.assert_allclose(back.covariance, before.covariance, atol=1e-16)
     np.testing.assert_allclose(back.directions, d, atol=1e-15)
     np.testing.assert_array_equal(back.sightings, before.sightings)
+    np.testing.assert_allclose(after.eccentricity, 1e-3 * after.directions[0], atol=1e-18)
+
+
+def test_a_map_with_the_centre_of_an_eccentric_ball_improves_one_without():
+    round_ball = seen(directions(5, 9), 1)
+    eccentric, better = (replace(round_ball, eccentricity_sigma=sigma) for sigma in (1e-3, 4e-4))
+    assert eccentric.improves(round_ball)
+    assert better.improves(eccentric)
+    assert not round_ball.improves(eccentric)
+    assert not eccentric.improves(better)
 
 
 UNIT = 0.55  # m

@@ -70,6 +70,15 @@ def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
     np.testing.assert_allclose(back, there, rtol=0, atol=1e-3 * np.linalg.norm(v * sigma, axis=1).max())
 
 
+def test_a_map_keeps_the_centre_of_an_eccentric_ball(tmp_path):
+    centred = random_map(4, 6)
+    known = replace(centred, eccentricity=np.array([1.2345e-3, 0.0, -3e-4]), eccentricity_sigma=1.5e-4)
+    after = read_back(tmp_path, saved(known)).map
+    np.testing.assert_allclose(after.eccentricity, known.eccentricity, atol=1e-7)
+    assert after.eccentricity_sigma == known.eccentricity_sigma
+    assert "centre" not in ball_map.map_text(saved(centred))
+
+
 @pytest.mark.parametrize("projection", [*CANDIDATES, normalise(np.array([-0.123456, 0.3, 0.7]))])
 def test_a_map_keeps_the_colours_of_its_discs(tmp_path, projection):
     after = read_back(tmp_path, saved(replace(random_map(4, 6), projection=projection))).map.projection

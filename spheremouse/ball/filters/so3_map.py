@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import FALSE_SHARE, HIDDEN_SHARE
-from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.filters.so3_state import ECCENTRICITY, So3State
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import are_among
 from spheremouse.geometry.rotation import tangent_basis
@@ -44,16 +44,20 @@ def with_candidates(
 
 
 def with_map(state: So3State, known: DiscMap, most: int = _MAX_SAVED_HITS) -> So3State:
-    """Return the state with a saved map's discs in place of its own. `most` limits their counts of sightings."""
+    """Return the state with a saved map's discs and eccentricity. `most` limits the counts of sightings."""
     m, first = len(known), state.map_row
     joint = np.zeros((first + 2 * m + CLONE_DIM, first + 2 * m + CLONE_DIM))
     joint[:first, :first] = state.joint[:first, :first]
     joint[first:-CLONE_DIM, first:-CLONE_DIM] = known.covariance
+    if known.eccentricity_sigma > 0.0:
+        joint[ECCENTRICITY] = joint[:, ECCENTRICITY] = 0.0
+        joint[ECCENTRICITY, ECCENTRICITY] = known.eccentricity_sigma**2 * np.eye(3)
     return replace(
         state,
         landmarks=known.directions.copy(),
         basis=tangent_basis(known.directions),
         joint=joint,
+        eccentricity=known.eccentricity,
         hits=np.minimum(known.sightings, most),
         missed=np.zeros(m, dtype=np.intp),
         hidden=np.full(m, HIDDEN_SHARE),
@@ -63,7 +67,10 @@ def with_map(state: So3State, known: DiscMap, most: int = _MAX_SAVED_HITS) -> So
 
 
 def to_map(state: So3State, least: int) -> DiscMap | None:
-    """Return the discs with `least` sightings or more, with axes by `tangent_basis`; None with fewer than four."""
+    """Return the discs with `least` sightings or more, and a significant eccentricity; None with fewer than four discs.
+
+    The axes are by `tangent_basis`.
+    """
     keep = state.hits >= least
     if np.count_nonzero(keep) < 4:
         return None
@@ -73,7 +80,11 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
     m = len(kept.discs)
     P = kept.joint[kept.map_row : -CLONE_DIM, kept.map_row : -CLONE_DIM].reshape(m, 2, m, 2)
     P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
-    return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
+    found = DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
+    if not state.is_off_centre:
+        return found
+    sigma = float(np.linalg.eigvalsh(state.joint[ECCENTRICITY, ECCENTRICITY])[-1]) ** 0.5
+    return replace(found, eccentricity=state.eccentricity, eccentricity_sigma=sigma)
 
 
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:

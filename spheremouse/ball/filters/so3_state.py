@@ -102,10 +102,12 @@ class So3State:
 
         An eccentricity that is not significant does not count.
         """
-        e = self.eccentricity
-        if e @ e < self.joint.diagonal()[ECCENTRICITY].sum():
-            return self.rig_error
-        return np.append(self.rig_error[:1], self.centre)
+        return np.append(self.rig_error[:1], self.centre) if self.is_off_centre else self.rig_error
+
+    @property
+    def is_off_centre(self) -> bool:
+        """Return whether the eccentricity is significant."""
+        return bool(self.eccentricity @ self.eccentricity >= self.joint.diagonal()[ECCENTRICITY].sum())
 
     @property
     def map_row(self) -> int:

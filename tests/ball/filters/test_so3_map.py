@@ -101,6 +101,11 @@ def test_with_map_and_to_map_are_inverses():
     assert_allclose(back.directions, known.directions, atol=1e-15)
     assert_allclose(back.covariance, known.covariance, atol=1e-9 * np.abs(known.covariance).max())
     assert_array_equal(back.sightings, known.sightings)
+    assert known.eccentricity_sigma == 0.0  # not significant
+    eccentric = replace(known, eccentricity=np.array([1e-3, 0.0, -2e-3]), eccentricity_sigma=1e-4)
+    back = to_map(with_map(fresh, eccentric, 1000), 1)
+    assert_allclose(back.eccentricity, eccentric.eccentricity)
+    assert back.eccentricity_sigma == pytest.approx(1e-4)
     capped = with_map(fresh, known, 50)
     assert capped.hits.max() == 50  # a disc that fell off is dropped in the end
     assert_array_equal(capped.joint[:MAP_OFFSET], np.pad(fresh.joint, [(0, 0), (0, 48)])[:MAP_OFFSET])
