@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.capture import Payload
 from spheremouse.files.rig import rig_text
-from spheremouse.tracker import Frame
+from tests.raw_picture import RawPicture
 
 CONFIG = """\
 schema: 2
@@ -33,25 +32,8 @@ def prepare(folder, film):
     np.save(folder / "film.npy", np.array(film.colour))
 
 
-class RawFrame:
-    def __init__(self, image, stamp, sequence):
-        self._image, self.stamp, self.sequence = image, stamp, sequence
-
-    def frame(self, colour):
-        return Frame(self._image, self.stamp, self.sequence)
-
-    def payload(self):
-        height, width = self._image.shape[:2]
-        return Payload("bgr", width, height, self._image.reshape(-1).data)
-
-    def release(self):
-        return None
-
-
 class Camera:
     """Plays the film back and forth."""
-
-    raw = RawFrame
 
     def __init__(self, images, fps=100.0):
         self._places, self._images = itertools.cycle([*range(len(images)), *range(len(images) - 2, 0, -1)]), images
@@ -62,6 +44,9 @@ class Camera:
         time.sleep(max(0.0, self._due - time.monotonic()))
         self._sequence += 1
         return self.raw(self._images[next(self._places)], time.monotonic(), self._sequence)
+
+    def raw(self, image, stamp, sequence):
+        return RawPicture(image, image, stamp, sequence)
 
     def describe(self):
         return "a film"

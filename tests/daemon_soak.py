@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from spheremouse.capture import fetch as capture
-from spheremouse.errors import ControlError, OutputError, SourceError
+from spheremouse.errors import ControlError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.output import Output, reporter
+from spheremouse.output import reporter
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.session import outputs, timing, worker
 from spheremouse.session import service as run
@@ -96,7 +96,7 @@ class Cabinet(World):
         self.faults: Counter[str] = Counter()
         self.failures: list[str] = []
         self.over = threading.Event()
-        self.damaged = self.lost = self.tracked = 0
+        self.lost = self.tracked = 0
         self.total, self.given = np.zeros(3, np.int64), np.zeros(3, np.int64)
         self.reports = 0
         self.spells_judged = 0
@@ -182,7 +182,7 @@ class Cabinet(World):
                 self._spell_of.popitem(last=False)
         self._free.clear()
         fault = "dark" if self._now == "night" else self._now if self._now in OF_FRAMES else ""
-        return _Counted(self, self.stamp, self.sequence, self.place + self._film * len(self.film.grey), fault)
+        return RawFrame(self, self.stamp, self.sequence, self.place + self._film * len(self.film.grey), fault)
 
     def image(self, place: int, colour: bool, fault: str, film: Film | None = None) -> NDArray[np.uint8]:
         number, place = divmod(place, len(self.film.grey))
@@ -218,11 +218,6 @@ class Cabinet(World):
             gate.set()
 
     # ---- what comes of it ----
-
-    def open_output(self, spec: str) -> "_Sink":  # pyright: ignore[reportIncompatibleMethodOverride]
-        if self.broken:
-            raise OutputError(self.broken)
-        return _Sink(self)
 
     def tracked_frame(self, made: Any, report: Any, _: Any) -> None:
         assert self.daemon is not None
@@ -287,29 +282,6 @@ class Cabinet(World):
         if len(self.failures) < 50:
             before = " | ".join(self.said[-4:])
             self.failures.append(f"frame {self.produced}, {self._now or 'no fault'}: {text}\n         before: {before}")
-
-
-class _Counted(RawFrame):
-    def frame(self, colour: bool) -> Any:
-        world: Any = self._world
-        if self._fault == "damaged":
-            world.damaged += 1
-        return super().frame(colour)
-
-
-class _Sink(Output):
-    paced = True
-
-    def __init__(self, cabinet: Cabinet) -> None:
-        self._cabinet = cabinet
-
-    def send(self, report: Any) -> None:
-        gate = self._cabinet.gate
-        if gate is not None:
-            gate.wait(5.0)
-        if self._cabinet.broken:
-            raise OutputError(self._cabinet.broken)
-        self._cabinet.received(report)
 
 
 class Somebody(threading.Thread):

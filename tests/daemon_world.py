@@ -5,8 +5,7 @@ then plays the film forwards and backwards; what was shown is known, so that wha
 attributes, changed while it runs.
 """
 
-import contextlib
-import json
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -22,12 +21,12 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Payload
-from spheremouse.errors import DamagedFrameError, OutputError, SourceError
+from spheremouse.errors import ControlError, DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output import Output, open_output
+from spheremouse.output import Output
 from spheremouse.output.counts import MotionSettings
-from spheremouse.session.control.client import Client, NoDaemonError
+from spheremouse.session.control.client import Client
 from spheremouse.session.live_run import LiveRun
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.service import Daemon
@@ -36,9 +35,11 @@ from spheremouse.simulate.ball.profile import Gesture, Gestures, SeenFrom
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.tracker import Frame
+from tests.raw_picture import payload_of
 
 DT = 1.0 / 30.0  # s between two stamps
 PATIENCE = 30.0  # s, for what takes a fraction of one
+CLOSE = 3.0  # counts: the estimate at either end, and rounding
 
 CONFIG = """\
 schema: 2
@@ -89,30 +90,6 @@ class Film:
         return cls(colour, grey, np.array([m.attitude for m in made]), scene.rig())
 
 
-class RawPicture:
-    """A raw frame of a picture in colour and in grey, or an error. It notes how it was asked for."""
-
-    def __init__(
-        self,
-        colour: NDArray[np.uint8],
-        grey: NDArray[np.uint8],
-        stamp: float,
-        sequence: int,
-        error: Exception | None = None,
-    ) -> None:
-        self._images, self._error = (grey, colour), error
-        self.stamp, self.sequence, self.asked = stamp, sequence, list[bool]()
-
-    def frame(self, colour: bool) -> Frame:
-        self.asked.append(colour)
-        if self._error is not None:
-            raise self._error
-        return Frame(self._images[colour], self.stamp, self.sequence)
-
-    def release(self) -> None:
-        pass
-
-
 class RawFrame:
     def __init__(self, world: "World", stamp: float, sequence: int, place: int, fault: str) -> None:
         self.stamp, self.sequence, self.place = stamp, sequence, place
@@ -121,6 +98,7 @@ class RawFrame:
     def frame(self, colour: bool) -> Frame:
         assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
+            self._world.damaged += 1
             raise DamagedFrameError("half of it is missing")
         if self._fault == "internal":
             raise ZeroDivisionError("as if we had made a mistake")
@@ -133,9 +111,7 @@ class RawFrame:
         assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
             raise DamagedFrameError("half of it is missing")
-        image = np.ascontiguousarray(self._world.image(self.place, self._world.colour_alone, self._fault))
-        kind = "grey" if image.ndim == 2 else "bgr"
-        return Payload(kind, image.shape[1], image.shape[0], image.reshape(-1).data)
+        return payload_of(self._world.image(self.place, self._world.colour_alone, self._fault))
 
     def release(self) -> None:
         if self._out:
@@ -167,6 +143,7 @@ class World:
         self.place, self._way, self.moves = 0, 1, 0
         self.sequence = 0
         self.produced = 0  # raw frames
+        self.damaged = 0  # of those, damaged ones that the daemon looked at
         self.shown: dict[float, int] = {}  # stamp -> place in the film
         self.cameras = 0  # open now
         self.opened = 0
@@ -265,7 +242,11 @@ class World:
         self.outputs.append(spec)
         if self.broken:
             raise OutputError(self.broken)
-        return open_output(spec) if spec.startswith("text:") else Sink(self)
+        return Sink(self)
+
+    def received(self, report: Any) -> None:
+        """Take a report that the output sends."""
+        self.sent.append(report)
 
     @property
     def counts(self) -> Array:
@@ -316,6 +297,35 @@ class World:
         self._thread.join(PATIENCE)
         assert not self._thread.is_alive(), "the daemon does not end"
 
+    def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
+        return self.client.ask(command, **arguments)
+
+    def refused(self, command: str, **arguments: Any) -> str:
+        """Return the error of a request, which must be refused."""
+        try:
+            reply = self.ask(command, **arguments)
+        except ControlError as e:
+            return str(e)
+        raise AssertionError(f"{command} was not refused but answered by {reply}")
+
+    def try_to_ask(self, command: str) -> dict[str, Any]:
+        """Return the reply to a request, {} if it is refused."""
+        try:
+            return self.ask(command)
+        except ControlError:
+            return {}
+
+    def until_recorded(self, frames: int) -> None:
+        """Wait until a recording has more than so many frames."""
+        self.until(lambda: (self.ask("status")["recording"] or {}).get("frames", 0) > frames, "frames recorded")
+
+    def logged(self, text: str) -> list[str]:
+        return [line for line in self.said if text in line]
+
+    def times_logged(self, text: str) -> int:
+        more = (map(int, re.findall(r"\((\d+) more like it\)", line)) for line in self.logged(text))
+        return sum(1 + sum(counted) for counted in more)
+
     @property
     def state(self) -> str:
         assert self.daemon is not None
@@ -352,6 +362,16 @@ class World:
         turns = [log(b @ a.T) for a, b in pairwise(R)]
         return M @ np.sum(turns, axis=0) if turns else np.zeros(3)
 
+    def check_counts(self) -> None:
+        """All that was sent is the motion of all that was shown."""
+        assert np.abs(self.counts - self.true_counts()).max() < CLOSE
+
+    def check_next_turn(self, scale: tuple[float, float, float] = (1, 1, 1)) -> None:
+        """What a turn sends from now on is its motion, times the scale."""
+        before, since = self.counts, self.stamp
+        self.turn()
+        assert np.abs(self.counts - before - self.true_counts(since) * scale).max() < max(scale) * CLOSE
+
     def check_laws(self) -> None:
         """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
         assert self.daemon is not None
@@ -383,7 +403,7 @@ class Sink(Output):
             gate.wait(PATIENCE)
         if self.world.broken:
             raise OutputError(self.world.broken)
-        self.world.sent.append(report)
+        self.world.received(report)
 
     def __enter__(self) -> "Sink":
         assert not self.world.device, "opened before the one before was closed"
@@ -402,28 +422,3 @@ def left_over(daemon: Daemon) -> Array:
 
 def matrix(rig: Rig) -> Array:
     return MotionSettings().matrix(rig.ball.radius)
-
-
-def check_samples(world: World, file: Path, frames: int) -> None:
-    """Play frames, and compare the samples of a client with the lines of a text output of the same run."""
-    world.start()
-    world.reach("tracking")
-    world.client.ask("set", assignments=[f"output=[sink:quiet, 'text:{file}']"])
-    world.until(lambda: file.exists() and file.stat().st_size, "a line of the text output")
-    samples: list[Any] = []
-    ended = threading.Thread(target=_collect, args=(Client(world.socket), samples))
-    ended.start()
-    world.until(lambda: samples, "a sample")
-    world.turn(frames)
-    world.stop()
-    ended.join(PATIENCE)
-    written = [json.loads(line) for line in file.read_text().splitlines()]
-    first = written.index(samples[0])
-    assert len(samples) >= frames
-    assert samples == written[first : first + len(samples)]
-    assert any(any(sample["counts"]) for sample in samples)
-
-
-def _collect(client: Client, samples: list[Any]) -> None:
-    with client, contextlib.suppress(NoDaemonError):
-        samples.extend(client.sample_objects())

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import cv2
-import daemon_process
 import view_world
+from raw_picture import RawPicture
 
 from spheremouse.capture.nodes import Node
 from spheremouse.output import Output, Report
@@ -85,7 +85,7 @@ class Camera:
         self._next = due + 1
         picture = self._pictures[self._number // self._shown % len(self._pictures)]
         self._number += 1
-        return daemon_process.RawFrame(picture.copy(), stamp, self._number)
+        return RawPicture(picture.copy(), None, stamp, self._number)
 
     def describe(self):
         return "the practice camera"

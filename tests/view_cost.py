@@ -27,8 +27,9 @@ from spheremouse.capture import Payload
 from spheremouse.files.token import read_token
 from spheremouse.session.control.client import Client
 from tests.daemon_latency import megabytes, processor
-from tests.daemon_process import Camera, RawFrame
+from tests.daemon_process import Camera
 from tests.live_cost import serve, wait_for_tracking
+from tests.raw_picture import RawPicture
 from tests.reporting import free_port
 
 SETTLE = 5.0  # s after a change, in which links and leases begin or end
@@ -36,15 +37,15 @@ UNREAD = 60.0  # s in which a browser does not read
 QUALITY = 85  # of the camera's MJPEG
 
 
-class JpegRaw(RawFrame):
+class JpegRaw(RawPicture):
     """A frame that comes as JPEG. It is decoded already, so that the daemon leaves more time to the page."""
 
     def __init__(self, image, stamp, sequence):
-        super().__init__(image[0], stamp, sequence)
+        super().__init__(image[0], image[0], stamp, sequence)
         self._jpeg = image[1]
 
     def payload(self):
-        height, width = self._image.shape[:2]
+        height, width = self.images[0].shape[:2]
         return Payload("jpeg", width, height, memoryview(self._jpeg))
 
 

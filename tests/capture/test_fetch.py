@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from raw_picture import RawPicture
 from reporting import until
 
 from spheremouse.capture import Stream
@@ -16,14 +17,6 @@ from spheremouse.tracker import Frame
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 IMAGE = np.zeros((2, 2), np.uint8)
-
-
-class RawFrame:
-    def __init__(self, sequence, stamp):
-        self.sequence, self.stamp, self.released = sequence, stamp, 0
-
-    def release(self):
-        self.released += 1
 
 
 class Camera:
@@ -45,7 +38,7 @@ class Camera:
             raise item
         if item is None:
             return None
-        raw = RawFrame(item, time.monotonic())
+        raw = RawPicture(None, None, time.monotonic(), item)
         self._world.frames.append(raw)
         return raw
 

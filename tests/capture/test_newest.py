@@ -3,21 +3,19 @@
 import threading
 import time
 
+from raw_picture import RawPicture
+
 from spheremouse.capture.newest import Arrival, LatestFrame
 
 PATIENCE = 20.0  # s
 
 
-class RawFrame:
-    def __init__(self, number):
-        self.stamp, self.sequence, self.released = float(number), number, 0
-
-    def release(self):
-        self.released += 1
+def frame(number):
+    return RawPicture(None, None, float(number), number)
 
 
 def test_the_newest_is_taken_and_what_it_replaced_is_counted_and_released():
-    latest, frames = LatestFrame(), [RawFrame(k) for k in range(4)]
+    latest, frames = LatestFrame(), [frame(k) for k in range(4)]
     for raw in frames[:3]:
         latest.put(Arrival(raw, raw.stamp))
     taken = latest.take(0.0)
@@ -35,15 +33,15 @@ def test_the_newest_is_taken_and_what_it_replaced_is_counted_and_released():
 
 
 def test_each_camera_has_its_latest_frame_and_the_first_taken_comes_first():
-    latest, frames = LatestFrame(), [RawFrame(k) for k in range(4)]
+    latest, frames = LatestFrame(), [frame(k) for k in range(4)]
     for taken, (camera, raw) in enumerate(zip((1, 0, 0, 1), frames, strict=True)):
         latest.put(Arrival(raw, float(taken), camera))
     assert [s.released for s in frames] == [1, 1, 0, 0]  # replaced by the next of the same camera
     assert latest.skipped == 2
-    latest.put(Arrival(RawFrame(4), 1.5, 1))
+    latest.put(Arrival(frame(4), 1.5, 1))
     assert [latest.take(0.0).camera for _ in range(2)] == [1, 0]
     assert latest.take(0.0) is None
-    latest.put(Arrival(RawFrame(5), 5.0, 1))
+    latest.put(Arrival(frame(5), 5.0, 1))
     latest.clear(0)  # the other camera goes
     assert latest.take(0.0).taken == 5.0
 
@@ -55,7 +53,7 @@ def test_who_waits_is_woken_by_a_frame_and_by_a_call():
     def wait():
         got.append(latest.take(PATIENCE))
 
-    for act in (lambda: latest.put(Arrival(RawFrame(1), 1.0)), latest.wake):
+    for act in (lambda: latest.put(Arrival(frame(1), 1.0)), latest.wake):
         thread = threading.Thread(target=wait)
         thread.start()
         time.sleep(0.01)
@@ -73,14 +71,14 @@ def test_a_call_before_the_wait_is_not_missed_and_takes_no_frame_away():
     assert latest.take(PATIENCE) is None
     assert time.monotonic() - begun < PATIENCE / 2
     latest.wake()
-    latest.put(Arrival(RawFrame(1), 1.0))
+    latest.put(Arrival(frame(1), 1.0))
     assert latest.take(0.0) is not None
     assert latest.take(0.0) is None  # the call is spent
 
 
 def test_of_any_number_from_another_thread_each_is_taken_or_counted():
     latest, n, taken = LatestFrame(), 20000, []
-    frames = [RawFrame(k) for k in range(n)]
+    frames = [frame(k) for k in range(n)]
     thread = threading.Thread(target=lambda: [latest.put(Arrival(s, 0.0)) for s in frames])
     thread.start()
     while thread.is_alive() or (not taken or taken[-1] is not frames[-1]):

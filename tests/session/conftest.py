@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+from daemon_world import Film, World
 
 from spheremouse.capture import fetch
 from spheremouse.output import reporter
@@ -15,8 +16,8 @@ PATIENCE = 60.0  # s
 def quick_daemon(monkeypatch):
     """Return a generator that yields a world of tests/daemon_world.py, and checks its laws at the end."""
 
-    def run(world, open_output):
-        monkeypatch.setattr(open_output, world.open_output)
+    def run(world):
+        monkeypatch.setattr("spheremouse.session.outputs.open_output", world.open_output)
         monkeypatch.setattr(service, "_MAX_FRAME_WAIT_S", 0.02)
         monkeypatch.setattr(service, "_CHECK_INTERVAL_S", 0.1)
         monkeypatch.setattr(fetch, "BACK_OFF", (0.01, 0.02))
@@ -32,3 +33,22 @@ def quick_daemon(monkeypatch):
             world.until(lambda: threading.active_count() <= threads, "threads end")
 
     return run
+
+
+@pytest.fixture(scope="module")
+def film():
+    return Film.render()
+
+
+@pytest.fixture
+def unstarted(film, tmp_path, quick_daemon):
+    """A world whose daemon a test starts."""
+    yield from quick_daemon(World(film, tmp_path))
+
+
+@pytest.fixture
+def world(unstarted):
+    unstarted.start()
+    unstarted.reach("tracking")
+    unstarted.turn()
+    return unstarted

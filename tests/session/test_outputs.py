@@ -1,13 +1,11 @@
 """The outputs of a run: the next are opened after those before are closed; where a thread is missing, never."""
 
-import json
-import socket
 import threading
 import time
 
 import numpy as np
 import pytest
-from reporting import PATIENCE, free_port, report, until
+from reporting import PATIENCE, report, until
 
 from spheremouse.errors import ControlError
 from spheremouse.output import OutputClosed
@@ -122,45 +120,10 @@ def test_what_was_given_is_what_arrived_and_what_is_told_as_unsent(run):
     assert status.failed is None
 
 
-def test_the_sums_of_counts_are_equal_over_all_outputs(tmp_path):
-    """A file, a datagram's receiver, a TCP client and a WebSocket client add up what they read."""
-    connect = pytest.importorskip("websockets.sync.client").connect
-    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    receiver.bind(("127.0.0.1", 0))
-    receiver.settimeout(PATIENCE)
-    tcp, ws = (free_port() for _ in range(2))
-    specs = [f"text:{tmp_path / 'log'}", f"udp:{receiver.getsockname()[1]}", f"tcp:{tcp},format=counts"]
-    outputs, sent, frames = run_of(*specs, f"ws:{ws},format=counts"), np.zeros(3, int), 200
-    until(lambda: (tmp_path / "log").exists() and not refuses(tcp) and not refuses(ws))
-    with receiver, socket.create_connection(("127.0.0.1", tcp)) as client, connect(f"ws://127.0.0.1:{ws}") as page:
-        lines, datagrams = client.makefile("r"), []
-        assert lines.readline() == page.recv(PATIENCE) + "\n" == "# stamp dx dy dz (s, counts)\n"
-        for k in range(frames):
-            counts = (k % 7 - 3, 3 - k % 5, k)
-            sent += counts
-            outputs.submit(report(*counts, stamp=float(k)), time.monotonic(), wanted=True)
-            datagrams.append(json.loads(receiver.recv(65536))["counts"])  # at once, since the system's buffer is small
-        read = [
-            datagrams,
-            [lines.readline().split()[1:] for _ in range(frames)],
-            [page.recv(PATIENCE).split()[1:] for _ in range(frames)],
-        ]
-        lines.close()
-    outputs.close()
-    read.append([json.loads(line)["counts"] for line in (tmp_path / "log").read_text().splitlines()])
-    assert [np.array(counts, dtype=int).sum(axis=0).tolist() for counts in read] == [sent.tolist()] * 4
-    assert [status.sent for _, status in outputs.status()] == [tuple(sent)] * 4
-
-
 def run_of(*specs, log=lambda line: None, **options):
     outputs = Outputs(specs, EXACT, log=log, workers=WorkerPool((OUTPUT,), log), call=[].append, **options)
     outputs.begin()
     return outputs
-
-
-def refuses(port):
-    with socket.socket() as client:
-        return client.connect_ex(("127.0.0.1", port)) != 0
 
 
 def test_where_a_thread_is_missing_those_before_stay_and_no_other_is_opened(run, monkeypatch):

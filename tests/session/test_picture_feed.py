@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raw_picture import RawPicture
 from reporting import PATIENCE, until
 
 from spheremouse.ball.build import build
-from spheremouse.capture import Payload
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.replay import Controls
 from spheremouse.errors import ControlError, DamagedFrameError, SourceError
@@ -32,20 +32,10 @@ from spheremouse.session.setup import open_replay
 SIZE = (8, 4)
 
 
-class Raw:
-    """A raw frame whose bytes are its number."""
-
-    stamp = 3.5
-
-    def __init__(self, number=1, size=SIZE, damaged=False):
-        self._number, self._size, self._damaged, self.copied = number % 256, size, damaged, 0
-
-    def payload(self):
-        if self._damaged:
-            raise DamagedFrameError("half of it is missing")
-        self.copied += 1
-        w, h = self._size
-        return Payload("grey", w, h, np.full(w * h, self._number, np.uint8).data)
+def numbered(number=1, size=SIZE, error=None):
+    """A raw frame whose pixels are its number."""
+    w, h = size
+    return RawPicture(None, np.full((h, w), number % 256, np.uint8), 3.5, number, error)
 
 
 ADAPTER = SimpleNamespace(annotations=lambda made: {"sequence": made})
@@ -71,21 +61,12 @@ def reader_of(feed, now=0.0, interval=0.1, size=SIZE):
     return PictureReader(feed.lease(now, interval, size).duplicate())
 
 
-def test_a_picture_is_the_raw_frame_with_the_marks_of_the_tracker(feed):
-    reader = reader_of(feed)
-    show(feed, 0.0, Raw(7), 41)
-    picture = reader.latest()
-    assert (picture.format, picture.width, picture.height, picture.stamp) == ("grey", 8, 4, 3.5)
-    assert picture.pixels == 32 * b"\7"
-    assert picture.annotations == {"camera": 0, "sequence": 41}
-
-
 @pytest.mark.parametrize(
     ("fps", "intervals"),
     [(60.0, (1 / 15,)), (30.0, (0.05,)), (187.0, (0.1,)), (29.97, (1 / 15,)), (60.0, (0.05, 0.5)), (60.0, (0.5, 0.05))],
 )
 def test_the_mean_interval_is_the_shortest_one_requested_at_any_rate_of_the_camera(feed, fps, intervals):
-    raws = [Raw() for _ in range(int(2.0 * fps))]
+    raws = [numbered() for _ in range(int(2.0 * fps))]
     for k, raw in enumerate(raws):
         for interval in intervals if k % 20 == 0 else ():
             feed.lease(k / fps, interval, SIZE)
@@ -100,14 +81,14 @@ def test_two_cameras_take_turns_and_one_goes_on_alone(feed, cameras, shown):
     reader, seen = reader_of(feed), []
     for k in range(18):  # 0.6 s
         for camera in cameras:
-            show(feed, k / 30 + 1e-3 * camera, Raw(k), k, camera=camera, cameras=2)
+            show(feed, k / 30 + 1e-3 * camera, numbered(k), k, camera=camera, cameras=2)
             if (picture := reader.latest(len(seen))) is not None:
                 seen.append(picture.annotations["camera"])
     assert seen == shown
 
 
 def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
-    before, raw = len(os.listdir("/proc/self/fd")), Raw()
+    before, raw = len(os.listdir("/proc/self/fd")), numbered()
     show(feed, 0.0, raw, 1)
     ring = feed.lease(1.0, 0.1, SIZE)
     assert len(os.listdir("/proc/self/fd")) > before
@@ -124,25 +105,21 @@ def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
 
 def test_a_larger_frame_gets_a_larger_ring_and_numbers_go_on(feed):
     reader = reader_of(feed)
-    show(feed, 0.0, Raw(1), 1)
+    show(feed, 0.0, numbered(1), 1)
     first = reader.latest().number
-    show(feed, 1.0, Raw(2, (640, 480)), 2)
+    show(feed, 1.0, numbered(2, (640, 480)), 2)
     larger = reader_of(feed, 1.0).latest(first)
     assert (larger.width, larger.pixels[0]) == (640, 2)
     assert larger.number > first
 
 
-def test_damaged_frames_are_passed_over(feed):
+def test_a_damaged_frame_is_passed_over_and_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
     reader = reader_of(feed)
-    show(feed, 0.0, Raw(damaged=True), 1)
-    assert reader.latest() is None
-
-
-def test_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
-    reader = reader_of(feed)
-    show(feed, 0.0, Raw(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
-    show(feed, 1.0, Raw(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
-    show(feed, 2.0, Raw(), 3)
+    show(feed, 0.0, numbered(error=DamagedFrameError("half of it is missing")), 1)
+    assert (reader.latest(), log) == (None, [])
+    show(feed, 0.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
+    show(feed, 1.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
+    show(feed, 2.0, numbered(), 3)
     assert reader.latest().annotations == {"camera": 0, "sequence": 3}
     assert ["ZeroDivisionError" in log[0], "ValueError" in log[1]] == [True, True]
 

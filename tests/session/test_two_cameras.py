@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from daemon_world import DT, Film, RawPicture, World
+from daemon_world import DT, Film, World
+from raw_picture import RawPicture
 
 from spheremouse.ball.rig import in_axes
 from spheremouse.capture.newest import Arrival
@@ -219,7 +220,7 @@ def world(films, rigs, tmp_path, quick_daemon):
     text = front.config.read_text().replace("rig.yaml", "[front.yaml, side.yaml]")
     front.config.write_text(text.replace("film:played", "[film:front, film:side]"))
     front.second = Side(films[1], front)
-    yield from quick_daemon(front, "spheremouse.session.outputs.open_output")
+    yield from quick_daemon(front)
 
 
 def note(picture, discs):
@@ -236,7 +237,7 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world, monkey
     world.start()
     world.reach("tracking")
     world.turn()
-    assert [(each["trouble"], each["restarts"]) for each in world.client.ask("status")["cameras"]] == [("", 0)] * 2
+    assert [(each["trouble"], each["restarts"]) for each in world.ask("status")["cameras"]] == [("", 0)] * 2
     reader, discs = world.client.pictures(0.03), {}
     world.until(lambda: len(discs) == 2 or note(reader.latest(), discs), "pictures of both")
     assert discs[0] != discs[1]
@@ -244,7 +245,7 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world, monkey
     said(world, "camera 1: unplugged; the other goes on")
     world.second.moves = LENGTH - 1
     world.until(lambda: world.second.moves == 0, "frames of the second")
-    assert world.client.ask("status")["cameras"][0]["trouble"] == "unplugged"
+    assert world.ask("status")["cameras"][0]["trouble"] == "unplugged"
     world.missing = ""
     said(world, "camera 1 takes part again")
     world.second.missing = "its cable is cut"
@@ -261,32 +262,32 @@ def test_a_recording_is_of_the_first_camera_alone_also_while_it_is_gone(world):
     """What is kept of its picture would show the person in that of the other."""
     world.start()
     world.reach("tracking")
-    world.client.ask("record", folder="a")
-    world.until(lambda: (world.client.ask("status")["recording"] or {}).get("frames", 0) > 3, "frames recorded")
+    world.ask("record", folder="a")
+    world.until_recorded(3)
     world.missing = "unplugged"
     said(world, "camera 1: unplugged; the other goes on")
-    before = world.client.ask("status")
+    before = world.ask("status")
     enough = before["cameras"][1]["frames"] + 40
-    world.until(lambda: world.client.ask("status")["cameras"][1]["frames"] > enough, "frames of the second")
-    assert world.client.ask("record", stop=True)["frames"] < before["recording"]["frames"] + 20
+    world.until(lambda: world.ask("status")["cameras"][1]["frames"] > enough, "frames of the second")
+    assert world.ask("record", stop=True)["frames"] < before["recording"]["frames"] + 20
 
 
 def test_settings_and_rigs_change_while_two_cameras_track(world, rigs):
     world.start()
     world.reach("tracking")
     world.turn()
-    frames = [each["frames"] for each in world.client.ask("status")["cameras"]]
+    frames = [each["frames"] for each in world.ask("status")["cameras"]]
     assigned = ["discs.contrast=0.26", "so3.acceleration_sigma=2"]
-    assert world.client.ask("set", assignments=assigned)["changed"] == ["tracker"]
+    assert world.ask("set", assignments=assigned)["changed"] == ["tracker"]
     world.settle(10)
-    cameras = world.client.ask("status")["cameras"]
+    cameras = world.ask("status")["cameras"]
     assert all(each["frames"] > before for each, before in zip(cameras, frames, strict=True))
     assert [each["trouble"] for each in cameras] == ["", ""]
     with pytest.raises(ControlError, match="more than one camera"):
-        world.client.ask("set", assignments=["detector=texture"])
+        world.ask("set", assignments=["detector=texture"])
     save_rig(world.folder / "side.yaml", replace(rigs[1], exposure_s=0.001))
     world.until(lambda: any(text.endswith("0.1, rig") for text in world.said), "its new rig")
     world.reach("tracking")
     world.config.write_text(world.config.read_text().replace("[film:front, film:side]", "film:front"))
     with pytest.raises(ControlError, match="rig: 2 and not 1"):
-        world.client.ask("reload")
+        world.ask("reload")

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from daemon_world import DT, Film, RawPicture
+from daemon_world import DT, Film
+from raw_picture import RawPicture
 
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError
@@ -18,12 +19,6 @@ from spheremouse.session.tracker_adapter import POSE, here
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Status
-
-
-@pytest.fixture(scope="module")
-def film():
-    return Film.render()
-
 
 SETTINGS = replace(Configuration(), pose=replace(Configuration().pose, frames=2))
 

@@ -8,8 +8,8 @@ from itertools import permutations, product
 import cv2
 import numpy as np
 import pytest
-from daemon_world import RawPicture
 from numpy.testing import assert_array_equal
+from raw_picture import RawPicture
 from scipy import spatial
 
 from spheremouse.ball.detect import rings

@@ -15,8 +15,6 @@ from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.errors import PoseError
-from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.dataset.frames import read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.ball.recorded import recorded_mask
@@ -78,16 +76,6 @@ def test_a_masked_film_says_the_same_to_the_last_bit(name, grey):
     assert differ == []
     # There was motion to send
     assert np.any(counts_of([e.estimate for e in epochs], rig), axis=1).sum() > len(epochs) // 6
-
-
-def test_the_reference_recording_masked_says_the_same_and_needs_the_margins(far26):
-    recording = open_dataset(far26)
-    rig, pose = recording.rig, recording.pose
-    frames = [frame for frame, _ in zip(read_frames(recording), range(100), strict=False)]
-    keep = recorded_mask(rig, pose, Settings())
-    assert differences(frames, keep, rig, pose, Settings())[0] == []
-    bare = ball_mask(rig, pose)  # the outline alone is not enough: this test can see a margin that is missing
-    assert len(differences(frames[:10], bare, rig, pose, Settings())[0]) > 5
 
 
 def at_the_limb(scene, seed):
