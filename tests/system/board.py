@@ -15,7 +15,7 @@ from pathlib import Path
 import gadget
 import numpy as np
 import pytest
-from reporting import report
+from reporting import report, until
 
 from spheremouse.capture.v4l2.usb import reset_camera
 from spheremouse.output import open_output
@@ -27,16 +27,6 @@ LIBRARY = Path("/tmp/firmware_avr.so")  # the AVR's protocol.c, made here
 MOTIONS = int(os.environ.get("MOTIONS", "1000"))
 
 FORK = multiprocessing.get_context("fork")  # for processes without waiting for their imports
-
-
-def until(found, seconds=20.0):
-    """What `found` gives when it is true at last."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if it := found():
-            return it
-        time.sleep(0.02)
-    raise AssertionError(f"not within {seconds} s: {found.__doc__ or found}")
 
 
 def mice():
@@ -75,50 +65,41 @@ def board(kind):
 
 
 def read(pipe, path):
-    """Collects the mouse's reports; whenever asked, tells them and begins anew."""
+    """Collect the mouse's reports and keys; whenever asked, tell them and begin anew."""
     device = evdev.InputDevice(path)
     pipe.send("ready")
-    reports, keys, report, gone = [], [], {}, False
+    reports, keys, report = [], [], {}
     while True:
-        ready = select.select([pipe] if gone else [pipe, device], [], [])[0]
-        if device in ready:
-            try:
-                for event in device.read():
-                    if event.type == e.EV_REL:
-                        report[event.code] = event.value
-                    elif event.type == e.EV_KEY:
-                        keys.append((event.code, event.value))
-                    elif event.type == e.EV_SYN:
-                        if event.code != e.SYN_REPORT:
-                            keys.append("dropped")
-                        if report:
-                            reports.append(report)
-                        report = {}
-            except OSError:
-                gone = True
-        elif pipe in ready:
+        if device not in select.select([pipe, device], [], [])[0]:
             pipe.recv()
-            pipe.send((reports, keys, gone))
+            pipe.send((reports, keys))
             reports, keys = [], []
+            continue
+        for event in device.read():
+            if event.type == e.EV_REL:
+                report[event.code] = event.value
+            elif event.type == e.EV_KEY:
+                keys.append((event.code, event.value))
+            elif event.type == e.EV_SYN:
+                assert event.code == e.SYN_REPORT, "events were dropped"
+                reports += [report] if report else []
+                report = {}
 
 
 class Reader(Process):
     def __init__(self):
         (device,) = until(mice)
         super().__init__(read, device.path)
-        self.reports, self.keys, self.gone = [], [], False
-
-    def look(self):
-        self.pipe.send("")
-        reports, keys, self.gone = self.pipe.recv()
-        self.reports += reports
-        self.keys += keys
+        self.reports, self.keys = [], []
 
     def sum(self, code):
         return sum(r.get(code, 0) for r in self.reports)
 
     def sums(self, *codes):
-        self.look()
+        self.pipe.send("")
+        reports, keys = self.pipe.recv()
+        self.reports += reports
+        self.keys += keys
         return [self.sum(code) for code in codes]
 
 
@@ -209,81 +190,3 @@ def test_motions_arrive_exactly_with_x_and_y_in_one_report(kind):
         assert mouse.keys == []
         print(f"{kind}: {MOTIONS} motions, {len(mouse.reports)} reports, sums {given}; {link.summary()}")
         assert len(mouse.reports) > 40
-
-
-def hold(pipe):
-    """A host that presses the left button, for ever."""
-    with open_output("serial:auto") as output:
-        pipe.send("ready")
-        while True:
-            output.hold(0b1)
-            time.sleep(0.01)
-
-
-def test_a_host_that_is_killed_leaves_no_button_down(kind):
-    replug()
-    with board(kind), Reader() as mouse:
-        with Process(hold):
-
-            def pressed():
-                mouse.look()
-                return mouse.keys[:1] == [(e.BTN_LEFT, 1)]
-
-            until(pressed)
-
-        def released():
-            mouse.look()
-            return mouse.keys[-1] == (e.BTN_LEFT, 0)
-
-        until(released, 5.0)
-        assert not mouse.gone
-
-
-def test_a_board_that_is_unplugged_leaves_no_button_down_and_comes_back(kind):
-    replug()
-    plugged = board(kind)
-    with open_output("serial:auto") as output:
-        with Reader() as mouse:
-            output.send(report(30, 20))
-            until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [30, 20])
-
-            def pressed():
-                output.hold(0b101)
-                mouse.look()
-                return len(mouse.keys) >= 2
-
-            until(pressed)
-            gadget.unplug()
-            with plugged:
-                pass  # the board has no power
-
-            def gone():
-                output.hold(0b101)
-                mouse.look()
-                return mouse.gone
-
-            until(gone)
-            presses = [(e.BTN_LEFT, 1), (e.BTN_MIDDLE, 1)]
-            assert sorted(mouse.keys[:2]) == presses
-            assert sorted(mouse.keys[2:]) == [(code, 0) for code, _ in presses]
-        assert mice() == []
-        output.hold(0)
-        output.send(report(7, 7))  # nobody is there to take it
-        time.sleep(1.2)
-        output.send(report())
-        link, sessions, dropped = output.link, output.link.sessions, list(output.link.dropped)
-        assert (dropped, link.uncertain) == ([7, 7, 0, 0], [0] * 4)
-        gadget.plug()
-        with board(kind), Reader() as mouse:
-
-            def again():
-                output.send(report())
-                return link.sessions > sessions
-
-            until(again)
-            for _ in range(50):
-                output.send(report(-3, 2))
-            settle(output)
-            until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [-150, 100])
-            assert link.dropped == dropped
-            assert mouse.keys == []

@@ -2,8 +2,7 @@
 
     python tests/system/film.py OUT [--short]
 
-Each film is a folder in OUT: `YUYV` and `MJPG` (pictures one behind the other, with `ends.npy`, the places in bytes
-where those of MJPG end), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`, and `posed.yaml` with the camera's pose.
+Each film is a folder in OUT: `YUYV` (pictures one behind the other), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`.
 """
 
 import subprocess
@@ -31,17 +30,11 @@ def convert(dataset: Path, folder: Path) -> None:
     folder.mkdir()
     rate = np.linalg.norm(recording.truth.rate, axis=1)
     first = max(0, int(np.argmax(rate > 0.0)) - 2)
-    n, ends = 0, [0]
-    with (folder / "YUYV").open("wb") as plain, (folder / "MJPG").open("wb") as packed:
+    with (folder / "YUYV").open("wb") as file:
         for frame in islice(read_frames(recording), first, None):
-            plain.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
-            packed.write(cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
-            ends.append(packed.tell())
-            n += 1
-    np.save(folder / "ends.npy", ends)
-    np.save(folder / "attitude.npy", recording.truth.attitude[first : first + n])
+            file.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
+    np.save(folder / "attitude.npy", recording.truth.attitude[first:])
     (folder / "rig.yaml").write_text(rig_text(replace(recording.rig, pose=None)), encoding="utf-8")
-    (folder / "posed.yaml").write_text(rig_text(replace(recording.rig, pose=recording.pose)), encoding="utf-8")
 
 
 def main() -> None:

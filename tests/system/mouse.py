@@ -3,6 +3,7 @@
 Run by tests/system/run.
 """
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -13,12 +14,14 @@ import numpy as np
 import pytest
 import reporting
 
+from spheremouse.errors import OutputError
 from spheremouse.output import gamepad, open_output, uinput
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
 
 MOTIONS = int(os.environ.get("MOTIONS", "1000"))
+UI_DEV_DESTROY = 0x5502  # linux/uinput.h
 
 # A game that uses SDL: prints the axes of its only gamepad for each line that it reads.
 GAME = """
@@ -176,6 +179,16 @@ def test_sdl_takes_it_for_a_gamepad():
                 break
         assert tuple(map(int, seen[-1])) == gamepad.to_sticks(rolls, gamepad.check("full=180,dead=0"))
         game.stdin.close()
+
+
+def test_a_mouse_that_is_destroyed_is_a_failed_output():
+    """The kernel takes no report of it any more; the output opens another one."""
+    with open_output("uinput") as output:
+        fcntl.ioctl(output._device.fd, UI_DEV_DESTROY)
+        with pytest.raises(OutputError, match="uinput"):
+            output.send(reporting.report(1))
+    with open_output("uinput") as output:
+        output.send(reporting.report(1))
 
 
 def test_without_permission_the_error_says_what_to_do():

@@ -79,20 +79,6 @@ def test_every_report_is_in_the_log_by_the_monotonic_clock(tmp_path, number):
     assert [p.name for p in tmp_path.iterdir()] == ["log.csv"]
 
 
-def test_unplugged_the_log_keeps_what_there_is(tmp_path):
-    out = tmp_path / "log.csv"
-    with trackball() as device, logging(out, "--device", NAME) as process:
-        for _ in range(20):
-            move(device, 3, -2)
-            time.sleep(0.002)
-        time.sleep(0.3)
-        device.close()
-        _, complaints = process.communicate(timeout=30)
-    assert process.returncode == 0
-    assert "is gone (No such device): the log ends there" in complaints
-    assert read_log(out).counts.sum(axis=0).tolist() == [60.0, -40.0]
-
-
 def test_the_desktop_still_gets_its_motion_unless_it_is_grabbed(tmp_path):
     for words, moves in (([], 1), (["--grab"], 0)):
         out = tmp_path / f"log{len(words)}.csv"
