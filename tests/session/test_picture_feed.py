@@ -117,9 +117,9 @@ def test_a_damaged_frame_is_passed_over_and_an_error_in_the_marks_is_logged_and_
     reader = reader_of(feed)
     show(feed, 0.0, numbered(error=DamagedFrameError("half of it is missing")), 1)
     assert (reader.latest(), log) == (None, [])
-    show(feed, 0.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
-    show(feed, 1.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
-    show(feed, 2.0, numbered(), 3)
+    show(feed, 1.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
+    show(feed, 2.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
+    show(feed, 3.0, numbered(), 3)
     assert reader.latest().annotations == {"camera": 0, "sequence": 3}
     assert ["ZeroDivisionError" in log[0], "ValueError" in log[1]] == [True, True]
 

@@ -1,158 +1,24 @@
-"""The page's server in front of a real daemon: a film behind a scripted camera, and browsers by `websockets`."""
+"""The page's server: settings, actions, visitors, and requests of a wrong form."""
 
-import asyncio
-import base64
 import json
-import os
-import shutil
-import signal
 import socket
-import struct
 import subprocess
 import sys
-import threading
 import time
-from contextlib import ExitStack, contextmanager
-from http.client import HTTPConnection
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import simplejpeg
-from daemon_world import Film, World
+from daemon_world import World
+from page_server import PATIENCE, TOKEN, Browser, act, get, serving
 from reporting import free_port
 from view_world import wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
 
 from spheremouse.commands.view import page_address
 from spheremouse.errors import ControlError
 from spheremouse.view import server as server_module
-from spheremouse.view.access import Access
-from spheremouse.view.guide import GuideOptions
-from spheremouse.view.server import application, server
-
-TOKEN = "a-token-of-more-than-32-characters"
-PATIENCE = 40.0  # s
-CLIP = Path(__file__).parents[1] / "data/far26_clip"
-
-
-@pytest.fixture(scope="module")
-def film():
-    return Film.render()
-
-
-@pytest.fixture(scope="module")
-def daemon(film, tmp_path_factory):
-    world = World(film, tmp_path_factory.mktemp("view"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("spheremouse.session.outputs.open_output", world.open_output)
-        world.start()
-        yield world
-        world.stop()
-
-
-@pytest.fixture
-def world(daemon):
-    """The daemon of all tests; each finds it as it began."""
-    daemon.reach("tracking")
-    before = daemon.config.read_text()
-    yield daemon
-    daemon.config.write_text(before)
-    for command in ("reload", "resume"):
-        daemon.client.ask(command)
-    shutil.rmtree(daemon.folder / "recordings", ignore_errors=True)
-
-
-@pytest.fixture
-def page(world):
-    with serving(world.socket) as port:
-        yield port
-
-
-@pytest.fixture
-def alone(tmp_path):
-    """The page without a daemon."""
-    with serving(tmp_path / "s") as port:
-        yield port
-
-
-@contextmanager
-def serving(daemon, port=0, cabinet=None, source=None, address="127.0.0.1"):
-    """Run the page of a daemon's socket in a thread; yields its port."""
-    listener = socket.create_server((address, port), backlog=256)
-    port = listener.getsockname()[1]
-    running = server(application(daemon, Access(TOKEN, port), GuideOptions(cabinet, source)), address, port)
-    thread = threading.Thread(target=lambda: asyncio.run(running.serve([listener])))
-    thread.start()
-    try:
-        yield port
-    finally:
-        running.should_exit = True
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
-
-
-class Browser:
-    """A browser's side of the WebSocket."""
-
-    def __init__(self, port, owner=True, **headers):
-        cookie = {"Cookie": f"spheremouse-{port}={TOKEN}"} if owner else {}
-        address = f"127.0.0.1:{port}"
-        given = {"origin": f"http://{address}", "additional_headers": cookie, "max_size": None} | headers
-        self._connection = connect(f"ws://{address}/live", **given)
-        self.socket = self._connection.__enter__()
-        self.seen, self._id = [], 0
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._connection.__exit__(None, None, None)
-
-    def _next(self, what, condition):
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            self.seen.append(read(self.socket.recv(timeout=PATIENCE)))
-            if condition(self.seen[-1]):
-                return self.seen[-1]
-        raise AssertionError(f"no {what}: {[m['type'] for m in self.seen]}")
-
-    def until(self, kind, condition=lambda m: True):
-        """The next message of a kind for which the condition holds."""
-        return self._next(kind, lambda m: m["type"] == kind and condition(m))
-
-    def ask(self, type_, **words):
-        self._id += 1
-        self.socket.send(json.dumps({"type": type_, "id": self._id, **words}))
-        return self._next("answer", lambda m: m.get("id") == self._id and m["type"] != "progress")
-
-    def frame(self):
-        self.socket.send('{"type":"next"}')
-        return self.until("frame")
-
-    def picture(self):
-        """The next frame that has a picture."""
-        while not (frame := self.frame())["jpeg"]:
-            pass
-        return frame
-
-
-def read(received):
-    if isinstance(received, str):
-        return json.loads(received)
-    (length,) = struct.unpack(">I", received[:4])
-    return {**json.loads(received[4 : 4 + length]), "jpeg": received[4 + length :]}
-
-
-def act(browser, action, **arguments):
-    return browser.ask("do", action=action, arguments=arguments)
-
-
-def get(port, path="/", **headers):
-    connection = HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
-    connection.request("GET", path, headers=headers)
-    answer = connection.getresponse()
-    return answer.status, dict(answer.getheaders()), answer.read()
 
 
 def test_a_browser_gets_settings_status_pictures_and_each_sample_once(world, page):
@@ -271,129 +137,6 @@ def test_a_stranger_sees_a_masked_picture_and_changes_nothing(world, page):
         masked, whole = (float((picture.max(axis=2) < 20).mean()) for picture in pictures)  # black parts
         assert masked > 0.3
         assert whole < 0.2
-
-
-@pytest.mark.slow
-def test_the_guide_looks_through_the_camera_and_runs_the_command_of_the_next_step_alone(tmp_path):
-    cabinet = tmp_path / "cabinet"
-    with serving(tmp_path / "s", cabinet=cabinet, source=f"dataset:{CLIP}") as port, Browser(port) as browser:
-        act(browser, "guide", do="look")
-        seen = browser.until("guide", lambda m: m["picture"])
-        assert simplejpeg.decode_jpeg(base64.b64decode(seen["picture"])).shape == (960, 1280, 3)
-        assert any(line.startswith("targets") for line in seen["check"]["lines"])
-        step = next(step for step in act(browser, "guide", do="steps")["data"]["steps"] if step["state"] == "next")
-        assert step["command"] == f"spheremouse calibrate init {cabinet}"
-        for wrong in ({"step": "rig.yaml", "number": 0}, {"step": "folder", "number": 1}, {"step": "folder"}):
-            assert "the steps have changed" in act(browser, "guide", do="run", **wrong)["text"]
-        assert "mm" in act(browser, "guide", do="run", step="folder", number=0, square="2; rm")["text"]
-        assert "the steps have changed" in act(browser, "guide", do="describe", text="targets: []")["text"]
-        assert not cabinet.exists()
-        act(browser, "guide", do="run", step="folder", number=0)
-        ended = browser.until("guide", lambda m: not m["running"] and m["lines"])
-        assert (ended["problem"], "device.yaml: written" in ended["lines"][0]) == ("", True)
-        steps = act(browser, "guide", do="steps")["data"]["steps"]
-        assert [steps[0]["state"], steps[2]["state"]] == ["done", "next"]
-
-
-@pytest.mark.slow
-def test_the_guide_gives_the_reason_why_a_camera_shows_nothing_to_the_owner_alone(tmp_path):
-    with (
-        serving(tmp_path / "s", cabinet=tmp_path, source="v4l2:/dev/no-camera") as port,
-        Browser(port, owner=False) as stranger,
-        Browser(port) as browser,
-    ):
-        assert "only the owner" in act(stranger, "guide", do="look")["text"]
-        act(browser, "guide", do="look")
-        assert "/dev/no-camera: no such device" in browser.until("guide", lambda m: m["problem"])["problem"]
-        assert "only the owner" in act(stranger, "guide", do="look")["text"]
-        assert not [m for m in stranger.seen if m["type"] == "guide"]
-
-
-@pytest.fixture
-def clip(world):
-    """A recording with truth in the daemon's folder, and one that is none."""
-    folder = Path(world.client.ask("status")["recordings"])
-    folder.mkdir(parents=True)
-    shutil.copytree(CLIP, folder / "clip")
-    (folder / "nonsense").mkdir()
-    (folder / "nonsense/scene.json").write_text("{}")
-    return "clip"
-
-
-def replayed(browser, name):
-    """The process of a replay, which is begun."""
-    assert act(browser, "play", name=name)["type"] == "done"
-    return browser.until("status", lambda m: m["status"] and "replay" in m["status"]["source"])["status"]["pid"]
-
-
-def wait_for_end(process):
-    wait_for("its end", lambda: not Path(f"/proc/{process}").exists(), PATIENCE)
-
-
-def test_recordings_of_the_daemons_folder_are_listed_and_no_other_is_opened(world, page, clip):
-    with Browser(page) as browser:
-        browser.until("status", lambda m: m["status"])
-        found = {each["name"]: each for each in act(browser, "recordings")["data"]["recordings"]}
-        assert found["clip"]["frames"] == 50
-        assert found["clip"]["seconds"] == pytest.approx(50 / 30)
-        assert found["clip"]["truth"]
-        assert "no description" in found["nonsense"]["problem"]
-        for name in ("nonsense", "..", str(CLIP), f"../{clip}"):
-            for action in ("play", "compare"):
-                assert act(browser, action, name=name)["text"].startswith(f"{name}: ")
-        assert "must be a number" in act(browser, "compare", name=clip, begin="x")["text"]
-
-
-def test_a_replay_takes_the_cameras_place_with_the_changed_settings_and_gives_them_back(world, page, clip):
-    with Browser(page) as browser:
-        browser.until("hello", lambda m: m["settings"])
-        browser.ask("set", values={"motion.scale_x": 2.0}, gesture="g")
-        browser.until("status", lambda m: m["status"] and m["status"]["changes"])
-        assert act(browser, "play", name=clip)["type"] == "done"
-        status = browser.until("status", lambda m: m["status"])["status"]
-        assert status["source"]["replay"]["frames"] == 50
-        assert status["changes"] == ["motion.scale_x=2.0"]
-        assert simplejpeg.decode_jpeg(browser.picture()["jpeg"]).shape == (480, 640, 3)
-        assert browser.ask("set", values={"so3.acceleration_sigma": 20.0}, gesture="h")["type"] == "done"
-        assert act(browser, "replay", speed=0.5, step=True)["type"] == "done"
-        browser.until("status", lambda m: m["status"] and m["status"]["state"] == "paused")
-        assert "replay: speed: " in act(browser, "replay", speed=-1)["text"]
-        assert "scale_x" in world.client.ask("status")["changes"][0]
-        assert act(browser, "leave")["type"] == "done"
-        assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=20.0"]
-        assert act(browser, "undo")["type"] == "done"
-        assert world.client.ask("status")["changes"] == ["motion.scale_x=2.0", "so3.acceleration_sigma=0.1"]
-        live = browser.until("status", lambda m: m["status"] and m["status"]["pid"] != status["pid"])
-        assert live["status"]["source"]["spec"] == "film:played"
-        wait_for_end(status["pid"])
-
-
-@pytest.mark.slow
-def test_a_replay_ends_with_the_last_browser(world, page, clip, monkeypatch):
-    monkeypatch.setattr(server_module, "_LINK_KEPT_S", 0.1)
-    with Browser(page) as browser:
-        browser.until("status", lambda m: m["status"])
-        replay = replayed(browser, clip)
-    wait_for_end(replay)
-
-
-@pytest.mark.slow
-def test_the_end_of_a_replay_is_reported(world, page, clip):
-    with Browser(page) as browser:
-        browser.until("status", lambda m: m["status"])
-        os.kill(replayed(browser, clip), signal.SIGKILL)
-        assert "the replay has ended" in browser.until("trouble")["text"]
-        browser.until("status", lambda m: m["status"] and "replay" not in m["status"]["source"])
-
-
-@pytest.mark.slow
-def test_a_replay_that_ends_at_its_start_is_reported_once(world, page, clip):
-    (Path(world.client.ask("status")["recordings"]) / clip / "video.mkv").write_bytes(b"")
-    with Browser(page) as browser:
-        browser.until("status", lambda m: m["status"])
-        assert "video.mkv: no frame" in act(browser, "play", name=clip)["text"]
-        browser.until("status")
-        assert [m["id"] for m in browser.seen if m["type"] == "trouble"] == [1]  # the answer
 
 
 def test_the_token_of_the_page_makes_an_owner_and_no_other_cookie_does(alone):
@@ -517,35 +260,6 @@ def test_an_error_of_the_program_is_answered_too(page, monkeypatch, capfd):
     with Browser(page) as browser:
         assert "internal error (TypeError: a fault)" in act(browser, "export")["text"]
     assert "a fault" in capfd.readouterr().err
-
-
-@pytest.mark.parametrize("by", ["stop", "leave"])
-def test_a_long_comparison_reports_its_time_and_can_be_ended(page, clip, monkeypatch, by):
-    async def answer(*_, **__):
-        running.set()
-        try:
-            await asyncio.sleep(PATIENCE)
-        finally:
-            ended.set()
-
-    running, ended = threading.Event(), threading.Event()
-    monkeypatch.setattr("spheremouse.view.recordings.child.answer", answer)
-    monkeypatch.setattr(server_module, "_PROGRESS_INTERVAL_S", 0.05)
-    with Browser(page) as browser, Browser(page) as other:
-        browser.until("status", lambda m: m["status"])
-        for action, arguments in (("compare", {"name": clip}), ("stop", {})):  # before anything runs
-            browser.socket.send(json.dumps({"type": "do", "id": 8, "action": action, "arguments": arguments}))
-        assert "was ended" in browser.until("trouble", lambda m: m["id"] == 8)["text"]
-        running.clear()
-        ended.clear()
-        browser.socket.send(json.dumps({"type": "do", "id": 9, "action": "compare", "arguments": {"name": clip}}))
-        assert browser.until("progress")["id"] == 9
-        assert running.wait(PATIENCE)
-        assert "another comparison is under way" in act(other, "compare", name=clip)["text"]
-        assert not ended.is_set()
-        assert act(other, by)["type"] == "done"
-        assert "was ended" in browser.until("trouble", lambda m: m["id"] == 9)["text"]
-        assert ended.is_set()
 
 
 def test_the_page_outlives_the_daemon_and_a_browser_the_page(world):
