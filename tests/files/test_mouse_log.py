@@ -182,14 +182,6 @@ def test_a_log_begins_and_ends_with_the_time_it_was_listened_and_leaves_out_what
     assert pipe.closed
 
 
-def test_unplugged_it_ends_at_the_last_report(plugged):
-    plugged(moved(100.5, 2), None)
-    seen = []
-    with Listener(Mouse("/x", "m")) as listener:
-        assert listener.listen(seen.append, lambda: False) == "/x (m) is gone (No such device)"
-    assert [(r.stamp, r.dx) for r in seen] == [(100.0, 0), (100.5, 2), (100.5, 0)]
-
-
 def test_the_command_writes_the_log_and_says_what_is_next(plugged, monkeypatch, spheremouse, tmp_path):
     plugged(*(moved(100.0 + 0.01 * k, 4) for k in range(1, 11)), None)
     monkeypatch.setattr(mouse_log, "mice", lambda: [Mouse("/x", "Ball")])

@@ -65,10 +65,6 @@ def test_uinput_comes_first_then_the_board_then_the_desktop(world, capsys, uinpu
     assert open_output("auto:third=wheel") == (kind, ",".join(filter(None, (argument, "third=wheel"))))
 
 
-def test_what_it_passes_on_is_what_the_outputs_take():
-    assert all(set(VALUES["auto"]) <= set(VALUES[kind]) for kind in ("uinput", "serial", "desktop"))
-
-
 def test_an_adapter_is_never_taken_for_a_board(world):
     """`serial:auto` takes the only adapter there is; here nobody has said that a board is behind it."""
     world.ports = [ADAPTER]
