@@ -56,9 +56,10 @@ class Layer(NamedTuple):
     paint: NDArray[np.float32]  # (h, w, 4) blue, green, red, times its cover; cover 0..1
 
 
-def lay(picture: NDArray[np.float32], layer: Layer) -> None:
-    """Paint a layer over its part of a picture, (h, w, 3)."""
-    part = picture[layer.window.slices]
+def lay(picture: NDArray[np.float32], layer: Layer, corner: tuple[int, int] = (0, 0)) -> None:
+    """Paint a layer over its part of a picture, (h, w, 3), or of that part of one which begins in a `corner`, u, v."""
+    left, top, right, bottom = layer.window
+    part = picture[top - corner[1] : bottom - corner[1], left - corner[0] : right - corner[0]]
     part *= 1.0 - layer.paint[..., 3:]
     part += layer.paint[..., :3]
 

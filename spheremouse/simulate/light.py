@@ -6,6 +6,7 @@ and the struts, and a glossy coat on the ball (Schlick 1994). It is plausible an
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
@@ -17,6 +18,7 @@ _SKY = np.array([0.50, 0.47, 0.45])  # blue, green, red: light from above
 _FLOOR = np.array([0.20, 0.24, 0.28])  # and light reflected by the floor
 
 # Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
+_CHUNK = 1 << 15  # values at a time: they stay in the processor's cache
 _NORMAL = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
 
 
@@ -129,22 +131,26 @@ class Lighting:
         return share
 
 
-def develop(light: Array) -> Array:
+def develop(light: NDArray[np.floating]) -> NDArray[np.float32]:
     """Convert linear light, any shape, to grey values 0 to 255 by the curve of sRGB; above 1 they approach 255."""
-    x = np.maximum(light, 0.0)
-    x = x / (1.0 + x**4) ** 0.25
-    return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
+    x = np.maximum(light.astype(np.float32, copy=False), np.float32(0.0))
+    square = x * x
+    x /= np.sqrt(np.sqrt(1.0 + square * square))
+    return np.float32(255.0) * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
 def expose(
     grey: NDArray[np.float32], noise: float, rng: np.random.Generator, brightness: float = 0.0
 ) -> NDArray[np.uint8]:
     """Return grey values, any shape, in bytes, with `brightness` and normal noise of the deviation `noise` added."""
-    if noise > 0.0:
-        raw = rng.integers(0, 65536, grey.shape, dtype=np.uint16)
-        grey = grey + np.float32(noise) * np.take(_NORMAL, raw, mode="clip")
-    grey = grey + np.float32(brightness)
-    return np.clip(np.rint(grey, out=grey), 0.0, 255.0, out=grey).astype(np.uint8)
+    if noise == 0.0:
+        return np.asarray(cv2.add(grey, np.full_like(grey, brightness), dtype=cv2.CV_8U), dtype=np.uint8)
+    added, out = np.float32(noise) * _NORMAL + np.float32(brightness), np.empty(grey.size, dtype=np.uint8)
+    raw = rng.bit_generator.random_raw(-(-grey.size // 4)).view(np.uint16)[: grey.size]
+    pieces = (np.array_split(values, grey.size // _CHUNK + 1) for values in (grey.ravel(), raw, out))
+    for values, numbers, exposed in zip(*pieces, strict=True):
+        cv2.add(values, np.take(added, numbers, mode="clip"), dst=exposed, dtype=cv2.CV_8U)
+    return out.reshape(grey.shape)
 
 
 def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -191,11 +197,9 @@ def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
     `corners` (m, 3) go to the left, seen from the points: from its other side the polygon gives 0. A part of it below
     the horizon of a point would count as negative.
     """
-    total = np.zeros(len(points))
-    directions = [corner - points for corner in corners]
-    directions = [v / np.maximum(_length(v), 1e-9)[:, None] for v in directions]
-    for a, b in zip(directions, [*directions[1:], directions[0]], strict=True):
-        cross = np.cross(a, b)
+    total, squared = np.zeros(len(points)), _dot(points, points)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):  # a - p and b - p: both products by p
+        cross = (np.cross(a - b, np.eye(3)) @ points.T + np.cross(a, b)[:, None]).T
         length = np.maximum(_length(cross), 1e-12)
-        total += np.arctan2(length, _dot(a, b)) / length * _dot(cross, normals)
+        total += np.arctan2(length, squared - points @ (a + b) + a @ b) / length * _dot(cross, normals)
     return np.maximum(0.0, -total / (2.0 * np.pi))

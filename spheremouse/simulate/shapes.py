@@ -37,18 +37,17 @@ class Face:
         return self._normal
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
+        """Return inverse distances, (n,), in lengths of the `rays` (3, n) from `origin` (3,) m, obj; 0 for a miss."""
+        offset = self.corners - origin
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = ((self.corners[0] - origin) @ self._normal) / (rays @ self._normal)
-            inside = s > 0.0
-            for corner, inward in zip(self.corners, self._inward, strict=True):
-                inside &= s * (rays @ inward) >= (corner - origin) @ inward
-        return np.where(inside, s, np.inf)
+            inverse = self._normal / (offset[0] @ self._normal)
+            # times the inverse distance, all are linear in the ray: the point is on the inner side of each edge
+            edges = self._inward - np.sum(offset * self._inward, axis=1)[:, None] * inverse
+            values = np.vstack([inverse, edges]) @ rays
+        return np.where(values.min(axis=0) >= 0.0, values[0], 0.0)
 
-    def part(self, points: Array) -> NDArray[np.int64] | int:
-        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on; 0 without stripes."""
-        if self.stripes == 0.0:
-            return 0
+    def part(self, points: Array) -> NDArray[np.int64]:
+        """Return the index, (n,), of the stripe that each of points, (n, 3) m, lies on."""
         along = self.corners[1] - self.corners[0]
         place = (points - self.corners[0]) @ along / np.linalg.norm(along) / self.stripes
         return np.clip(place, 0, _MAX_STRIPES - 1).astype(np.int64)
@@ -63,28 +62,29 @@ class Ring:
     inner: float  # m
     outer: float  # m
     colour: Colour
+    _outline: Array = field(init=False, repr=False)  # (32, 3) m, a little outside
+
+    def __post_init__(self) -> None:
+        a = unit(np.cross(self.across, (0.3, 0.9, 0.2)))
+        around = self.centre + 1.01 * self.outer * circle(32) @ np.array([a, np.cross(self.across, a)])
+        object.__setattr__(self, "_outline", around)
 
     def outline(self) -> Array:
-        """Points around it, (32, 3), a little outside."""
-        a = unit(np.cross(self.across, (0.3, 0.9, 0.2)))
-        return self.centre + 1.01 * self.outer * circle(32) @ np.array([a, np.cross(self.across, a)])
+        """Points around it, (32, 3)."""
+        return self._outline
 
     def normal(self, _: Array | None = None) -> Array:
         """Return the unit vector across, (3,), for any point."""
         return self.across
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
+        """Return inverse distances, (n,), in lengths of the `rays` (3, n) from `origin` (3,) m, obj; 0 for a miss."""
+        offset = origin - self.centre
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = ((self.centre - origin) @ self.across) / (rays @ self.across)
-            offset = origin - self.centre
-            r2 = s * s * np.einsum("ni,ni->n", rays, rays) + 2.0 * s * (rays @ offset) + offset @ offset
-            inside = (s > 0.0) & (r2 < self.outer**2) & (r2 >= self.inner**2)
-        return np.where(inside, s, np.inf)
-
-    def part(self, _: Array) -> int:
-        """Return 0: the shape is all of one paint."""
-        return 0
+            inverse = -self.across / (offset @ self.across)
+            s, *scaled = np.vstack([inverse, np.eye(3) + np.outer(offset, inverse)]) @ rays
+            r2, s2 = sum(v * v for v in scaled), s * s  # of the point from the centre, times the inverse distance
+        return np.where((s > 0.0) & (r2 < self.outer**2 * s2) & (r2 >= self.inner**2 * s2), s, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,18 +106,19 @@ class Sphere:
         return (points - self.centre) / self.radius
 
     def hit(self, origin: Array, rays: Array) -> Array:
-        """Return distances, (n,), in lengths of the `rays` (n, 3) from `origin` (3,) m, obj; inf for a miss."""
+        """Return inverse distances, (n,), in lengths of the `rays` (3, n) from `origin` (3,) m, obj; 0 for a miss."""
         offset = self.centre - origin
-        a = np.einsum("ni,ni->n", rays, rays)
-        b = rays @ offset
-        root = b * b - a * (offset @ offset - self.radius**2)
-        return np.where((root >= 0.0) & (b > 0.0), (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
+        power = offset @ offset - self.radius**2  # of the origin outside
+        b = offset @ rays
+        root = b * b - np.einsum("in,in->n", rays, rays) * power
+        return np.where((root >= 0.0) & (b > 0.0), (b + np.sqrt(np.maximum(root, 0.0))) / power, 0.0)
 
     def part(self, points: Array) -> NDArray[np.int64]:
         """Return k + 1 for points, (n, 3) m, on cap k, the first one if there are more, and 0 beside them, (n,)."""
-        part, normals = np.zeros(len(points), dtype=np.int64), self.normal(points)
-        for k, (direction, angle) in reversed(list(enumerate(self.caps))):
-            part[normals @ direction > np.cos(angle)] = k + 1
+        part = np.zeros(len(points), dtype=np.int64)
+        cosines = np.array([direction for direction, _ in self.caps]) @ self.normal(points).T
+        for k in reversed(range(len(self.caps))):
+            part[cosines[k] > np.cos(self.caps[k][1])] = k + 1
         return part
 
 

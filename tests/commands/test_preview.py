@@ -106,8 +106,13 @@ def test_a_film_without_a_calibration_is_tracked_in_the_axes_of_its_camera(recor
     tracked = [s for s in samples if s["status"] == "tracking" and s["confirmed"]]
     assert len(tracked) > 60
     rates = np.array([s["rate"] for s in tracked])
-    true = scene.truth.rate[[round(s["stamp"] * 30.0) for s in tracked]] @ R.T
-    scale = np.sum(rates * true, axis=0) / np.sum(true * true, axis=0)
+    frame = [round(s["stamp"] * 30.0) for s in tracked]
+    true = scene.truth.rate[frame] @ R.T
+    # the filter's rate follows a jump of the true one in some frames, which says nothing about the scale
+    jumps = np.linalg.norm(np.diff(scene.truth.rate, axis=0, prepend=0.0), axis=1) > 0.3
+    steady = np.convolve(jumps, np.ones(8))[frame] == 0.0
+    assert np.mean(steady) > 0.8
+    scale = np.sum((rates * true)[steady], axis=0) / np.sum((true * true)[steady], axis=0)
     np.testing.assert_allclose(scale, [0.974, 0.974, 1.0], atol=0.03)
 
 

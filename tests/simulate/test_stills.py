@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.3])
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4])
 def test_opencv_finds_the_corners_of_the_board_where_they_are(evening, turn):
     camera = InteriorOrientation(640, 480, 420.0, 420.0, 321.0, 238.0, np.array([-0.4, 0.2, 0.001, -0.001, -0.05]))
     pose = looking(board.MIDDLE + np.array([0.4, -0.2, 1.3]), board.MIDDLE, turn)

@@ -16,7 +16,6 @@ from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.backdrop import grey_values
 from spheremouse.simulate.ball.scene import BLACK, CARD_MARGIN, FRONT, PAPER, Scene, card
-from spheremouse.simulate.cast import rays_of
 from spheremouse.simulate.layers import window
 from spheremouse.simulate.shapes import Shape
 
@@ -52,8 +51,11 @@ def painted(picture: NDArray[np.float32], scene: Scene, sheets: Iterable[Sequenc
     out = picture.copy()
     for sheet in sheets:
         view = replace(scene, surroundings=(*sheet, *scene.surroundings)).viewpoint()
-        place = window(project(scene.pose.to_cam(sheet[0].outline()), scene.camera)[0], _MARGIN_PX, scene.camera)
+        corners = project(scene.pose.to_cam(sheet[0].outline()), scene.camera)[0]
+        # a pixel needs its neighbours to know that it has an edge
+        place, around = (window(corners, margin, scene.camera) for margin in (_MARGIN_PX, _MARGIN_PX + 1))
         if not place.empty:
-            grey = view.paint(rays_of(place, scene.camera), partial(grey_values, scene, view))
-            out[place.slices] = grey[..., :3]
+            grey = view.paint(around, scene.camera, partial(grey_values, scene, view))
+            top, left = place.top - around.top, place.left - around.left
+            out[place.slices] = grey[top:, left:][: place.bottom - place.top, : place.right - place.left, :3]
     return out

@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.scene import Scene
-from spheremouse.simulate.cast import PARTS, Surfaces, Viewpoint, rays_of
+from spheremouse.simulate.cast import PARTS, Surfaces, Viewpoint
 from spheremouse.simulate.layers import Window
 from spheremouse.simulate.light import develop
+
+_STRIPE = np.arange(PARTS)
+_TONES = 1.0 + 0.16 * np.sin(2.4 * _STRIPE + 0.8) * np.sin(0.7 * _STRIPE)  # of the stripes of a face
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,36 +37,35 @@ class Backdrop:
 
 def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     """Return the pictures of a scene. Without `ball`, all but the ball is there."""
-    rays = rays_of(Window(0, 0, scene.camera.width, scene.camera.height), scene.camera)
+    whole = Window(0, 0, scene.camera.width, scene.camera.height)
     view, alone = (s.viewpoint(ball=ball) for s in (scene, replace(scene, surroundings=())))
-    picture = view.paint(rays, partial(grey_values, scene, view)).astype(np.float32)
-    outline = alone.paint(rays, lambda surfaces, _: (surfaces > 0).astype(float)[:, None]).astype(np.float32)
+    picture = view.paint(whole, scene.camera, partial(grey_values, scene, view))
+    outline = alone.paint(whole, scene.camera, lambda surfaces, _: (surfaces > 0).astype(float)[:, None])
     white, black, shown = (np.ascontiguousarray(picture[..., k]) for k in (slice(0, 3), slice(3, 6), 6))
     return Backdrop(white, black, shown, outline[..., 0])
 
 
-def grey_values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array) -> Array:
+def grey_values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array) -> NDArray[np.float32]:
     """Return grey values with a white and with a black ball, and 1 on the ball, (n, 7). No surface is black."""
-    light, gloss, white = np.zeros((3, len(points), 3))
-    index = surfaces // PARTS - 1
+    index, eye = surfaces // PARTS - 1, view.pose.position
     ball, room = np.flatnonzero(index == 0), np.flatnonzero(index > 0)
+    out = np.zeros((len(points), 7), dtype=np.float32)
     if len(ball):
         at = points[ball]
         at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
-        light[ball] = scene.lighting.on_ball(at)
-        gloss[ball] = scene.lighting.gloss(at, view.pose.position)
+        light, gloss = scene.lighting.on_ball(at), scene.lighting.gloss(at, eye)
+        shades = (develop(np.array(colour) * light + gloss) for colour in (scene.ball_colour, scene.disc_colour))
+        out[ball] = np.column_stack([*shades, np.ones(len(ball))])
     if len(room):
-        at, stripe = points[room], surfaces[room] % PARTS
+        at, index = points[room], index[room]
         normals = np.empty_like(at)  # on either side
-        for i in np.unique(index[room]):
-            normals[index[room] == i] = view.shapes[i].normal(at[index[room] == i])
-        normals *= np.where(np.sum(normals * (view.pose.position - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
-        light[room] = scene.lighting.on_room(at, normals)
-        tone = 1.0 + 0.16 * np.sin(2.4 * stripe + 0.8) * np.sin(0.7 * stripe)
-        white[room] = np.array([shape.colour for shape in view.shapes])[index[room]] * tone[:, None]
-    black = white.copy()
-    black[ball], white[ball] = scene.disc_colour, scene.ball_colour
-    return np.column_stack([develop(white * light + gloss), develop(black * light + gloss), index == 0])
+        for i in np.unique(index):
+            normals[index == i] = view.shapes[i].normal(at[index == i])
+        normals *= np.where(np.sum(normals * (eye - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
+        tone = _TONES[surfaces[room] % PARTS]
+        grey = develop(view.colours[index] * tone[:, None] * scene.lighting.on_room(at, normals))
+        out[room, :3] = out[room, 3:6] = grey
+    return out
 
 
 class Layers(NamedTuple):
@@ -109,7 +111,7 @@ def render_layers(scene: Scene) -> Layers:
         grey = grey_values(scene, view, surfaces, points)[:, :3]
         return np.column_stack([front * grey, ~front * grey, front])
 
-    rays = rays_of(Window(0, 0, scene.camera.width, scene.camera.height), scene.camera)
-    picture = view.paint(rays, values).astype(np.float32)
+    whole = Window(0, 0, scene.camera.width, scene.camera.height)
+    picture = view.paint(whole, scene.camera, values)
     before, beside, front = picture[..., :3], picture[..., 3:6], picture[..., 6:]
     return Layers(scene, render_backdrop(replace(scene, surroundings=())), front, before, beside)

@@ -11,7 +11,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.cast import AT_ORIGIN, PARTS, Surfaces, Viewpoint, rays_of
+from spheremouse.simulate.cast import AT_ORIGIN, PARTS, Surfaces, Viewpoint
 from spheremouse.simulate.layers import Layer, window
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, Sphere
@@ -65,11 +65,11 @@ def paint_ball(
     place = window(rims[np.isfinite(rims).all(axis=1)], _MARGIN_PX, camera)
     if place.empty:
         return None
-    rays, paint = rays_of(place, camera), []
+    paint = []
     for centre, R in moments:
         caps = tuple((R @ disc.direction, disc.angle) for disc in ball.discs)
         view = Viewpoint([Sphere(centre, ball.radius, paint_of(ball.body), caps)], AT_ORIGIN)
-        paint.append(view.paint(rays, partial(_shade, ball, paints, centre, light)))
+        paint.append(view.paint(place, camera, partial(_shade, ball, paints, centre, light)))
     return Layer(place, np.asarray(np.mean(paint, axis=0), dtype=np.float32))
 
 

@@ -82,16 +82,16 @@ class WandRenderer:
         """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
         grey = self._grey
         if layers := self._layers(t):
-            light, grey = self._still.copy(), grey.copy()
-            for layer in layers:
-                lay(light, layer)
             left, top, right, bottom = np.array([layer.window for layer in layers]).T
             ends = np.array([[left.min(), top.min()], [right.max() - 1, bottom.max() - 1]])
             near, around = (window(ends, k * _BLUR_MARGIN_PX, self.scene.camera) for k in (1, 2))
             rows, columns = (
                 slice(a - b, c - b) for a, b, c in zip(near[1::-1], around[1::-1], near[:1:-1], strict=True)
             )
-            grey[near.slices] = _develop(light[around.slices])[rows, columns]
+            light, grey = self._still[around.slices].copy(), grey.copy()
+            for layer in layers:
+                lay(light, layer, around[:2])
+            grey[near.slices] = _develop(light)[rows, columns]
         return expose(grey, self.scene.noise, rng)
 
     def _layers(self, t: float) -> list[Layer]:
@@ -148,4 +148,4 @@ def _vary(paints: Array, share: float, rng: np.random.Generator) -> Array:
 
 def _develop(light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the grey values of light behind the lens."""
-    return develop(np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=float)).astype(np.float32)
+    return develop(np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS_SIGMA_PX), dtype=np.float32))

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.cast import AT_ORIGIN, PARTS, Viewpoint, rays_of
+from spheremouse.simulate.cast import AT_ORIGIN, PARTS, Viewpoint, reduced
 from spheremouse.simulate.layers import Layer, Window, drawn_hand, hand_layer, lay, window
 from spheremouse.simulate.light import reflectance, to_linear
 from spheremouse.simulate.shapes import Colour, Face, Ring, box, post, unit
@@ -49,7 +49,7 @@ def paint_shapes(
     table[0] = 0.0
     table[1:, :3] = np.array([shapes[k].colour for k in seen]) * np.broadcast_to(lights, len(shapes))[seen, None]
     view = Viewpoint([shapes[k] for k in seen], pose)
-    paint = view.paint(rays_of(place, camera), lambda surfaces, _: table[surfaces // PARTS])
+    paint = view.paint(place, camera, lambda surfaces, _: table[surfaces // PARTS])
     return Layer(place, paint.astype(np.float32))
 
 
@@ -77,8 +77,8 @@ def background(
 def _ground(camera: InteriorOrientation, outdoors: bool, rng: np.random.Generator) -> NDArray[np.float32]:
     """Floor and wall, or lawn and sky, with some texture."""
     shape = (camera.height, camera.width)
-    xy = rays_of(Window(0, 0, camera.width, camera.height), camera).xy
-    rays = np.column_stack([xy, np.ones(len(xy))]) @ R_CAM_WORLD  # to world
+    x, y = reduced(Window(0, 0, camera.width, camera.height), camera).reshape(2, -1)
+    rays = np.column_stack([x, y, np.ones_like(x)]) @ R_CAM_WORLD  # to world
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = CAMERA_HEIGHT / rays[:, 1]
         at = rays[:, [0, 2]] * depth[:, None]
