@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.commands.bench import WARM_UP, Film, Steps, back_and_forth, lines, measure, report
+from spheremouse.commands.bench import WARM_UP, Film, Steps, lines, measure, report
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
@@ -26,10 +26,6 @@ def clip(frames):
 def test_a_film_as_short_as_the_warm_up_is_rejected():
     with pytest.raises(DatasetError, match="10 frames to track, but the first 10 do not count"):
         measure(clip(WARM_UP), 20)
-
-
-def test_back_and_forth_every_frame_is_next_to_the_one_before():
-    assert [back_and_forth(k, 3) for k in range(9)] == [0, 1, 2, 1, 0, 1, 2, 1, 0]
 
 
 def test_steps_go_on_beyond_the_film_and_keep_the_ball():

@@ -17,7 +17,7 @@ from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS
-from spheremouse.wand.pick_colours import Circle, check_bounds, circle_mask, find_ball, pick_bounds
+from spheremouse.wand.pick_colours import Circle, check_bounds, pick_bounds
 from spheremouse.wand.settings import ColourSettings
 
 ok, refused = partial(succeed, app), partial(fail, app)
@@ -235,14 +235,6 @@ def test_what_cannot_be_picked_is_said_in_words(picture, shot, tmp_path):
         check_bounds(image, {"green": ColourSettings(hue_min=100, hue_max=140, saturation_min=200)}, circle)
     with pytest.raises(ConfigurationError, match=r"light: the bounds select .* % of the picture"):
         check_bounds(image, {"light": ColourSettings(value_min=20)}, circle)
-
-
-def test_a_circle_is_where_it_says():
-    mask = circle_mask((40, 60), Circle(20.0, 15.0, 10.0), 1.0)
-    assert np.count_nonzero(mask) == pytest.approx(np.pi * 100, rel=0.04)
-    assert np.argwhere(mask).mean(axis=0) == pytest.approx([15.0, 20.0])
-    with pytest.raises(ConfigurationError):
-        find_ball(np.random.default_rng(0).integers(100, 140, (200, 200, 3), dtype=np.uint8), grzonka_ball())
 
 
 def film(path, **options):

@@ -78,16 +78,6 @@ def test_what_is_wrong_is_said(folder, change, message):
         read_run_config(replace(CommandLineOverrides(folder / "config.yaml"), **change))
 
 
-def test_a_mistake_in_any_file_is_said_with_its_line(folder):
-    config, rig = folder / "config.yaml", folder / "rig.yaml"
-    for path in (config, rig):
-        good = path.read_text()
-        path.write_text(good + "nonsense: 1\n")
-        with pytest.raises(ConfigurationError, match=rf"{path.name}:{good.count(chr(10)) + 1}: nonsense"):
-            read_run_config(CommandLineOverrides(config))
-        path.write_text(good)
-
-
 def test_one_output_of_a_known_kind_is_enough_to_start_and_each_new_one_must_be_known(folder):
     """A run with a display that is missing is better than none. A change is refused as a whole."""
     plan = read_run_config(CommandLineOverrides(folder / "config.yaml"))

@@ -43,16 +43,6 @@ def test_icons_are_seen_on_every_panel_and_differ_without_their_colours(size, gr
         assert np.mean(np.abs(greys[state] - ground) > 60) > 0.25, state
 
 
-def test_each_state_has_its_colour_except_the_two_errors():
-    """A missing camera and a failed output are red, and differ in outline and sign."""
-    colours = [tray.LOOKS[s].colour for s in STATES if s != "failed-output"]
-    assert len(set(colours)) == len(STATES) - 1
-    assert set(tray.LOOKS) == set(STATES)
-    red, red_too = tray.LOOKS["no-camera"], tray.LOOKS["failed-output"]
-    assert (red.outline, red.sign) != (red_too.outline, red_too.sign)
-    assert len({(look.outline, look.sign) for look in tray.LOOKS.values()}) == len(STATES)
-
-
 statuses = st.fixed_dictionaries(
     {},
     optional={

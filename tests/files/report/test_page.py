@@ -7,7 +7,7 @@ from elements import Elements
 from markupsafe import Markup
 
 from spheremouse.files.report.page import page, render
-from spheremouse.files.report.style import GRID, INK, MUTED, round_number, styled
+from spheremouse.files.report.style import round_number, styled
 
 HOSTILE = """<i onclick="x">'&amp;' {{ 7 * 7 }} </script></style>"""
 
@@ -39,19 +39,6 @@ def test_a_word_that_a_template_needs_and_does_not_get_is_an_error():
 
 
 mpl = pytest.importorskip("matplotlib")
-
-
-def as_hex(names):
-    from matplotlib.colors import to_hex
-
-    return {to_hex(mpl.rcParams[name]) for name in names}
-
-
-def test_its_colours_are_those_that_figures_name():
-    with styled():
-        assert as_hex(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")) == {INK}
-        assert as_hex(("axes.edgecolor", "xtick.color", "ytick.color")) == {MUTED}
-        assert as_hex(("grid.color",)) == {GRID}
 
 
 def test_a_user_s_own_settings_are_out_within_and_back_after():
