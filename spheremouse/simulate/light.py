@@ -144,7 +144,7 @@ def expose(
 ) -> NDArray[np.uint8]:
     """Return grey values, any shape, in bytes, with `brightness` and normal noise of the deviation `noise` added."""
     if noise == 0.0:
-        return np.asarray(cv2.add(grey, np.full_like(grey, brightness), dtype=cv2.CV_8U), dtype=np.uint8)
+        return np.asarray(cv2.add(grey, np.full((4, 1), brightness), dtype=cv2.CV_8U), dtype=np.uint8)
     added, out = np.float32(noise) * _NORMAL + np.float32(brightness), np.empty(grey.size, dtype=np.uint8)
     raw = rng.bit_generator.random_raw(-(-grey.size // 4)).view(np.uint16)[: grey.size]
     pieces = (np.array_split(values, grey.size // _CHUNK + 1) for values in (grey.ravel(), raw, out))

@@ -51,7 +51,7 @@ class Points(NamedTuple):
 class _Hits(NamedTuple):
     """Rays on the ball. One that misses it has the point where it is nearest."""
 
-    normal: Array  # (k, 3) unit vectors, obj
+    normal: Array  # (3, k) unit vectors, obj
     depth: Array  # (k,) in lengths of the ray
     length: Array  # (k,) m, of the ray
     cosine: Array  # (k,) of the angle between ray and normal, 0 where the ray misses the ball
@@ -71,8 +71,8 @@ class Surface:
         uv = self._window.pixels()
         xy, dxy_duv = unproject(uv, camera)
         turn = pose.rotation[:, :2]
-        self._ray = (xy @ turn.T + pose.rotation[:, 2]).reshape(*uv.shape[:2], 3)
-        self._dray = (turn @ dxy_duv).reshape(*uv.shape[:2], 3, 2)
+        rays = (xy @ turn.T + pose.rotation[:, 2])[:, :, None]
+        self._rays = np.concatenate([rays, turn @ dxy_duv], axis=2).reshape(*uv.shape[:2], 9)
 
     def moved(self, centre: Array) -> Self:
         """Return the same surface with the ball's centre, (3,) m in obj, elsewhere within reach."""
@@ -105,6 +105,11 @@ class Surface:
         """Return the index into the image's pixels of rows and columns from the ball's first ones."""
         return (row + self._window.top) * self.scene.camera.width + column + self._window.left
 
+    def _rays_at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return the rays of k pixels from the ball's first ones, (3, k) in obj, and their gradients, (3, 2, k)."""
+        rays = np.ascontiguousarray(self._rays[row, column].T).reshape(3, 3, -1)
+        return rays[:, 0], rays[:, 1:]
+
     # ---- pattern ----
 
     def points(self, shown: NDArray[np.floating]) -> Points | None:
@@ -113,14 +118,12 @@ class Surface:
             return None
         row, column = np.nonzero(shown[self._window.slices] > 0.0)
         grid = pixel_parts(_SUBPIXELS_OF_PATTERN)
-        dray = self._dray[row, column]
-        ray = self._ray[row, column][:, None] + grid @ dray.transpose(0, 2, 1)
-        hits = self._hits(ray.reshape(-1, 3))
-        weight = np.where(hits.cosine > 0.0, 1.0, 1e-6).reshape(-1, len(grid))
-        normal = np.where(np.isnan(hits.normal), self._eye, hits.normal).reshape(-1, len(grid), 3)
+        hits = self._hits(_spread(*self._rays_at(row, column), grid))
+        weight = np.where(hits.cosine > 0.0, 1.0, 1e-6).reshape(len(grid), -1).T
+        normal = np.where(np.isnan(hits.normal), self._eye[:, None], hits.normal).reshape(3, len(grid), -1)
         return Points(
             self._pixel_index(row, column),
-            normal.astype(np.float32),
+            np.ascontiguousarray(normal.T, dtype=np.float32),
             (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
         )
 
@@ -145,7 +148,8 @@ class Surface:
         if self.scene.readout_s > 0.0:
             R = attitude_at(self.row_times(t))[row + self._window.top]
             disc_directions = (R @ directions[disc, :, None])[..., 0]
-        ray, dray = self._ray[row, column], self._dray[row, column]
+        disc_directions = np.ascontiguousarray(disc_directions.T)
+        ray, dray = self._rays_at(row, column)
         hits = self._hits(ray)
         g, slope = self._edge_function(hits, ray, dray, disc_directions)
         share = (g > 0.0).astype(float)
@@ -154,12 +158,14 @@ class Surface:
         grazing = (hits.cosine < _LIMB_COSINE_PER_ROOT_PIXEL * np.sqrt(self._pixel)) & (
             g > np.cos(angle + reach) - np.cos(angle)
         )
-        cut = np.abs(g) <= 0.75 * slope.sum(axis=1)
+        cut = np.abs(g) <= 0.75 * slope.sum(axis=0)
         for pixels, subpixels in (
             (np.flatnonzero(cut & ~grazing), _SUBPIXELS_AT_EDGE),
             (np.flatnonzero(grazing), _SUBPIXELS_AT_LIMB),
         ):
-            share[pixels] = self._covered_share(ray[pixels], dray[pixels], disc_directions[pixels], subpixels)
+            share[pixels] = self._covered_share(
+                ray[:, pixels], dray[..., pixels], disc_directions[:, pixels], subpixels
+            )
         keep = share > 0.0
         return Coverage(self._pixel_index(row, column)[keep], disc[keep], share[keep])
 
@@ -178,47 +184,46 @@ class Surface:
         disc, row, column = np.nonzero((du / reach[:, 0]) ** 2 + (dv / reach[:, 1]) ** 2 < 1.0)
         corner = np.rint(uv - self._window[:2]).astype(int)[disc] - wide
         row, column = row + corner[:, 1], column + corner[:, 0]
-        inside = (row >= 0) & (row < self._ray.shape[0]) & (column >= 0) & (column < self._ray.shape[1])
+        inside = (row >= 0) & (row < self._rays.shape[0]) & (column >= 0) & (column < self._rays.shape[1])
         return row[inside], column[inside], near[disc[inside]]
 
     def _covered_share(self, ray: Array, dray: Array, disc_directions: Array, subpixels: int) -> Array:
         """Return the share of the ball's part of pixels that discs cover, (k,): the mean over `subpixels`² parts."""
         grid = pixel_parts(subpixels)
-        n = len(grid)
-        rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
+        shape, rays = (len(grid), ray.shape[1]), _spread(ray, dray, grid)
         hits = self._hits(rays)
-        g, slope = self._edge_function(hits, rays, np.repeat(dray, n, axis=0), np.repeat(disc_directions, n, axis=0))
-        on_ball = (hits.cosine > 0.0).reshape(-1, n)
+        g, slope = self._edge_function(hits, rays, *(np.tile(x, len(grid)) for x in (dray, disc_directions)))
+        on_ball = (hits.cosine > 0.0).reshape(shape)
         # At the limb g is not linear in the pixel, so the middle of a part represents all of it.
         steep = hits.cosine < np.sqrt(self._pixel)
-        part = np.where(steep, g > 0.0, _half_plane(g, slope / subpixels)).reshape(-1, n) * on_ball
-        return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
+        part = np.where(steep, g > 0.0, _half_plane(g, slope / subpixels)).reshape(shape) * on_ball
+        return part.sum(axis=0) / np.maximum(on_ball.sum(axis=0), 1)
 
     def _hits(self, ray: Array) -> _Hits:
-        """Return where rays, (k, 3), meet the ball; a nan ray, which the lens does not have, gives nan."""
+        """Return where rays, (3, k), meet the ball; a nan ray, which the lens does not have, gives nan."""
         R, origin = self.scene.ball_radius, self._origin
-        a = np.einsum("ki,ki->k", ray, ray)
-        b = ray @ origin
+        a = np.einsum("ik,ik->k", ray, ray)
+        b = origin @ ray
         root = b * b - a * (origin @ origin - R * R)
         on_ball = root > 0.0
         depth, length = np.sqrt(np.where(on_ball, root, 0.0)), np.sqrt(a)
         s = (-b - depth) / a
-        n = origin + s[:, None] * ray
-        n /= np.sqrt(np.einsum("ki,ki->k", n, n))[:, None]
+        n = origin[:, None] + s * ray
+        n /= np.sqrt(np.einsum("ik,ik->k", n, n))
         return _Hits(n, s, length, np.where(on_ball, depth / length / R, 0.0))
 
     def _edge_function(self, hits: _Hits, ray: Array, dray: Array, disc_directions: Array) -> tuple[Array, Array]:
-        """Return g of the module's docstring, (k,), and the absolute values of its derivatives by u and v, (k, 2) 1/px.
+        """Return g of the module's docstring, (k,), and the absolute values of its derivatives by u and v, (2, k) 1/px.
 
-        `disc_directions` (k, 3) are unit vectors in obj, and `dray` (k, 3, 2) is the gradient of `ray` in the image. A
+        `disc_directions` (3, k) are unit vectors in obj, and `dray` (3, 2, k) is the gradient of `ray` in the image. A
         ray that misses the ball has the values of its nearest point. A nan ray, which the lens does not have, has g -1
         and slope 0.
         """
-        g = np.einsum("ki,ki->k", hits.normal, disc_directions) - np.cos(self.scene.disc_angle)
+        g = np.einsum("ik,ik->k", hits.normal, disc_directions) - np.cos(self.scene.disc_angle)
         normal_component = -np.maximum(hits.cosine, 1e-6) * hits.length  # of the ray, which comes from outside
-        along_ray = np.einsum("ki,ki->k", disc_directions, ray)
-        tangent_direction = disc_directions - (along_ray / normal_component)[:, None] * hits.normal
-        slope = np.einsum("ki,kij->kj", tangent_direction, dray) * (hits.depth / self.scene.ball_radius)[:, None]
+        along_ray = np.einsum("ik,ik->k", disc_directions, ray)
+        tangent_direction = disc_directions - along_ray / normal_component * hits.normal
+        slope = np.einsum("ik,ijk->jk", tangent_direction, dray) * (hits.depth / self.scene.ball_radius)
         return np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(slope))
 
     def _directions_by_row(self, attitude_at: AttitudeAt, t: float, directions: Array) -> Array:
@@ -275,10 +280,14 @@ class Surface:
         return DiscTruth(np.zeros(len(discs), dtype=np.intp), discs, centre, blob, area, state)
 
 
+def _spread(ray: Array, dray: Array, grid: Array) -> Array:
+    """Return the rays of all places (n, 2) px of a `grid` in pixels with rays (3, k), (3, n * k), place by place."""
+    return (ray[:, None] + grid @ dray).reshape(3, -1)
+
+
 def _half_plane(g: Array, slope: Array) -> Array:
-    """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (k, 2)."""
-    wide = np.maximum(np.maximum(slope[:, 0], slope[:, 1]), 1e-15)  # much faster than a maximum over a short axis
-    narrow = np.maximum(np.minimum(slope[:, 0], slope[:, 1]), 1e-15)
+    """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (2, k)."""
+    wide, narrow = np.maximum(slope.max(axis=0), 1e-15), np.maximum(slope.min(axis=0), 1e-15)
     t = np.abs(g)
     low, high = 0.5 * (wide - narrow), 0.5 * (wide + narrow)
     share = np.where(t <= low, 0.5 + t / wide, 1.0 - 0.5 * np.maximum(high - t, 0.0) ** 2 / (wide * narrow))
