@@ -102,13 +102,10 @@ def test_targets_are_found_where_they_are(evening, folder):
 
 
 def test_noise_is_as_ordered_and_what_the_lens_does_not_reach_is_black():
-    quiet = prepare_stills(StillsOptions(photos=0, boards=1, size=(320, 240), focal=300.0))
-    quiet = replace(quiet, scene=replace(quiet.scene, camera=replace(quiet.scene.camera, fx=200.0, fy=200.0)))
-    clean = next(photos(replace(quiet, noise=0.0))).image.astype(float)
-    noisy = next(photos(replace(quiet, noise=6.0))).image.astype(float)
-    plain = (clean > 40) & (clean < 215)
-    assert rms((noisy - clean)[plain]) == pytest.approx(6.0, rel=0.02)
-    assert abs(np.mean((noisy - clean)[plain])) < 0.05
+    stills = prepare_stills(StillsOptions(photos=0, boards=1, size=(320, 240), focal=300.0))
+    scene = replace(stills.scene, camera=replace(stills.scene.camera, fx=200.0, fy=200.0))
+    clean, noisy = (next(photos(replace(stills, scene=scene, noise=n))).image.astype(float) for n in (0.0, 6.0))
+    assert rms((noisy - clean)[(clean > 40) & (clean < 215)]) == pytest.approx(6.0, rel=0.02)
     assert clean[0, 0].max() == 0.0
 
 
@@ -132,11 +129,10 @@ def test_the_device_is_seen_whole_and_from_all_sides(n):
         limb = scene.ball_radius * np.array([np.cross(pose.rotation[:, 2], axis) for axis in np.eye(3)])
         uv, _ = project(pose.to_cam(np.concatenate([limb, -limb])), scene.camera)
         assert np.all((uv > 0.0) & (uv < (1919.0, 1079.0)))
-    if n >= 6:
+    if n > 1:
         azimuth = np.degrees(np.arctan2(away[:, 0], away[:, 2]))
         elevation = np.degrees(np.arcsin((away[:, 1] + 0.17) / np.linalg.norm(away, axis=1)))
-        assert azimuth.min() < -35.0
-        assert azimuth.max() > 35.0
+        assert azimuth.min() < -35.0 < 35.0 < azimuth.max()
         assert np.ptp(elevation) > 35.0
         up = np.array([pose.rotation[1] for pose in poses])  # Y of obj in cam
         assert np.any(np.abs(up[:, 0]) > 0.7)  # one at least is turned

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import sqrtm
 
 from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
 from spheremouse.geometry.rotation import Array
@@ -82,7 +83,8 @@ class Layers(NamedTuple):
         scene, (h, w) = self.scene, self.front.shape[:2]
         here, there = (project_sphere(scene.pose.to_cam(c), scene.ball_radius) for c in (np.zeros(3), centre))
         uv, shapes = ellipse_to_pixel(np.array([here[0], there[0]]), np.array([here[1], there[1]]), scene.camera)
-        A = _root(shapes[1]) @ np.linalg.inv(_root(shapes[0]))  # maps the ball's ellipse onto that in its place
+        # symmetric roots map the unit circle onto an ellipse, so A maps the ball's ellipse onto that in its place
+        A = np.real(sqrtm(shapes[1]) @ np.linalg.inv(sqrtm(shapes[0])))
         M = np.column_stack([A, uv[1] - A @ uv[0]])
         white, black, outline = (
             np.asarray(cv2.warpAffine(image, M, (w, h)), dtype=np.float32)
@@ -92,12 +94,6 @@ class Layers(NamedTuple):
         rest = self.before + (np.float32(1.0) - outline[..., None]) * self.beside
         pictures = (rest + behind * white, rest + behind * black, behind[..., 0] * outline, outline)
         return Backdrop(*(np.asarray(picture, dtype=np.float32) for picture in pictures))
-
-
-def _root(shape: Array) -> Array:
-    """Return the symmetric root of a positive definite matrix, (2, 2): it maps the unit circle onto an ellipse."""
-    values, axes = np.linalg.eigh(shape)
-    return axes * np.sqrt(values) @ axes.T
 
 
 def render_layers(scene: Scene) -> Layers:

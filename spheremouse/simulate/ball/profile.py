@@ -6,13 +6,15 @@ dR/dt = hat(w) R. At time 0 the ball is at rest and `ball` equals `obj`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from math import inf
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from spheremouse.geometry.rotation import Array, euler_rate_matrix, exp, from_euler
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.options import SimulationOptions
+from spheremouse.simulate.light import smoothstep
 
 TURN_SECONDS = 3.0  # s, of a turn of `roll`
 
@@ -52,50 +54,6 @@ class SeenFrom:
         return self.profile.rate(t) @ self.rotation.T
 
 
-# ---- Euler angles made of parabolas ----
-
-
-def _parabolas(times: tuple[float, ...], degrees: tuple[float, ...]) -> CubicHermiteSpline:
-    """Return an angle, rad, at rest at its knots: with these slopes half way, cubic pieces are parabolas."""
-    t, angle = np.array(times), np.radians(degrees)
-    knots = np.sort([*t, *(0.5 * (t[1:] + t[:-1]))])
-    slope = np.zeros(len(knots))
-    slope[1::2] = 2.0 * np.diff(angle) / np.diff(t)
-    return CubicHermiteSpline(knots, np.interp(knots, t, angle), slope, extrapolate="periodic")
-
-
-# omega, phi and kappa in the synthetic sets of Wittich 2017 (figure 30): times, s, and angles, degrees
-_THESIS = (
-    _parabolas((0.0, 5.4, 10.0), (0.0, 61.0, 0.0)),
-    _parabolas((0.0, 2.8, 6.7, 10.0), (0.0, -24.0, 10.0, 0.0)),
-    _parabolas((0.0, 3.6, 7.9, 10.0), (0.0, 46.0, -3.0, 0.0)),
-)
-
-
-class Thesis:
-    """The motion of the synthetic sets of Wittich 2017, to its description.
-
-    Euler angles move from rest to rest between knots, with constant acceleration and then deceleration, for half of the
-    time each. Angles and angular rates have no jumps. 10 s, then again from the start; mean angular acceleration
-    16.4 deg/s², peak rate 28 deg/s.
-    """
-
-    seconds = 10.0
-
-    def attitude(self, t: Array) -> Array:
-        return from_euler(self._euler(t))
-
-    def rate(self, t: Array) -> Array:
-        return (euler_rate_matrix(self._euler(t)) @ self._euler(t, 1)[..., None])[..., 0]
-
-    def _euler(self, t: Array, derivative: int = 0) -> Array:
-        """omega, phi and kappa at times (n,) s, or their derivatives, (n, 3)."""
-        return np.stack([angle(t, derivative) for angle in _THESIS], axis=-1)
-
-
-thesis = Thesis
-
-
 # ---- gestures ----
 
 
@@ -118,23 +76,33 @@ class Gesture:
         up, down = self.ramp * (1.0 - self.coast), self.ramp * (1.0 + self.coast)
         x = np.clip((np.asarray(t, dtype=float) - self.start) / self.length, 0.0, 1.0)
         peak = 1.0 / (1.0 - 0.5 * (up + down))
-        (rise, rise_integral), (fall, fall_integral) = _smooth(x / up), _smooth((1.0 - x) / down)
+        rise, fall = np.clip(x / up, 0.0, 1.0), np.clip((1.0 - x) / down, 0.0, 1.0)
+        risen, fallen = (v**3 - 0.5 * v**4 for v in (rise, fall))  # integrals of the smooth step
         middle = np.clip(x, up, 1.0 - down) - up
-        share = peak * (up * rise_integral + middle + down * (0.5 - fall_integral))
-        return self.angle * share, self.angle / self.length * peak * np.minimum(rise, fall)
+        share = peak * (up * risen + middle + down * (0.5 - fallen))
+        return self.angle * share, self.angle / self.length * peak * smoothstep(np.minimum(rise, fall))
 
 
-def _smooth(x: Array) -> tuple[Array, Array]:
-    """x²(3 - 2x) on [0, 1] and its integral from 0, both constant outside."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x), x**3 - 0.5 * x**4
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """A turn about an axis fixed in `obj` by an angle that repeats."""
+
+    axis: tuple[float, float, float]  # unit vector, obj
+    angle_at: CubicHermiteSpline  # rad
+    start: ClassVar[float] = -inf
+    length: ClassVar[float] = inf
+    angle: ClassVar[float] = 0.0
+
+    def turned(self, t: Array) -> tuple[Array, Array]:
+        """Angle, rad, and its derivative, rad/s, at times (n,) s."""
+        return self.angle_at(t), self.angle_at(t, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Gestures:
     """Gestures one after the other, overlapping or not: R = R_last ... R_2 R_1, each turn about its axis in `obj`."""
 
-    gestures: tuple[Gesture, ...]  # by start time
+    gestures: tuple[Gesture | Swing, ...]  # by start time
     seconds: float  # s
     _before: Array = field(init=False, repr=False)  # (n + 1, 3, 3) product of the first k gestures, all finished
 
@@ -167,6 +135,28 @@ class Gestures:
             R = turn @ R
             w = (turn @ w[..., None])[..., 0] + speed[:, None] * np.array(g.axis)
         return R, w
+
+
+def _parabolas(times: tuple[float, ...], degrees: tuple[float, ...]) -> CubicHermiteSpline:
+    """Return an angle, rad, at rest at its knots: with these slopes half way, cubic pieces are parabolas."""
+    t, angle = np.array(times), np.radians(degrees)
+    knots = np.sort([*t, *(0.5 * (t[1:] + t[:-1]))])
+    slope = np.zeros(len(knots))
+    slope[1::2] = 2.0 * np.diff(angle) / np.diff(t)
+    return CubicHermiteSpline(knots, np.interp(knots, t, angle), slope, extrapolate="periodic")
+
+
+def thesis() -> Gestures:
+    """Return the motion of the synthetic sets of Wittich 2017 (figure 30), to its description.
+
+    Euler angles move from rest to rest between knots, with constant acceleration and then deceleration, for half of the
+    time each. Angles and angular rates have no jumps. 10 s, then again from the start; mean angular acceleration
+    16.4 deg/s², peak rate 28 deg/s.
+    """
+    kappa = Swing((0.0, 0.0, 1.0), _parabolas((0.0, 3.6, 7.9, 10.0), (0.0, 46.0, -3.0, 0.0)))
+    phi = Swing((0.0, 1.0, 0.0), _parabolas((0.0, 2.8, 6.7, 10.0), (0.0, -24.0, 10.0, 0.0)))
+    omega = Swing((1.0, 0.0, 0.0), _parabolas((0.0, 5.4, 10.0), (0.0, 61.0, 0.0)))
+    return Gestures((kappa, phi, omega), 10.0)
 
 
 def still(seconds: float = 10.0) -> Gestures:

@@ -33,7 +33,6 @@ class WandFilm:
     fps: float  # Hz
     begin: float  # s
     frames: int
-    seed: int
 
     @property
     def stamps(self) -> Array:
@@ -88,13 +87,13 @@ def prepare_wand(options: WandOptions, ball: WandBall | None = None) -> WandFilm
         seed=options.seed,
         vary=options.vary,
     )
-    return WandFilm(scene, fps, options.begin, frames, options.seed)
+    return WandFilm(scene, fps, options.begin, frames)
 
 
 def simulate_wand(film: WandFilm) -> Iterator[WandShot]:
     """Yield the frames with truth. Stamps start at 0."""
     renderer = WandRenderer(film.scene)
-    rng = np.random.Generator(np.random.SFC64([film.seed, 13]))
+    rng = np.random.Generator(np.random.SFC64([film.scene.seed, 13]))
     truths = [film.truth(k) for k in range(len(film.scene.balls))]
     for index, stamp in enumerate(film.stamps.tolist()):
         image = renderer.picture(film.begin + stamp, rng)

@@ -46,7 +46,7 @@ class WandScene:
     noise: float = 0.0  # grey values
     hands: tuple[Passing, ...] = ()
     cards: tuple[Passing, ...] = ()
-    seed: int = 0  # of background and paints
+    seed: int = 0  # of background, paints and noise
     vary: float = 0.0  # share by which paints differ from their nominal values
 
 
