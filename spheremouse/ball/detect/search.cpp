@@ -14,7 +14,7 @@ constexpr size_t REMEMBERED = 256;        // such places
 constexpr int SIDES = 8;                  // neighbours, opposite ones follow each other
 constexpr int MIN_BRIGHTER = 4;           // neighbours
 constexpr size_t OTHER_START = 997;       // each frame begins elsewhere, so the limit falls on no disc for long
-constexpr size_t AHEAD = 128;             // samples that come from memory before their turn
+constexpr size_t AHEAD = 256;             // samples that come from memory before their turn
 constexpr float GREY[] = {0.114f, 0.587f, 0.299f};  // `projection.GREY`
 
 using Points = std::vector<Vector<2>>;
@@ -150,6 +150,22 @@ Vector<2> settle(const Plane& plane, float level, double reach, int step, Vector
     return at;
 }
 
+/// Return the samples that `is_possible` leaves. Their other neighbours come from memory meanwhile.
+std::vector<size_t> possible_samples(const Plane& plane, const Lattice& lattice, const Limits& limits, int64_t turn) {
+    std::vector<size_t> possible;
+    const size_t n = lattice.size, start = n ? size_t(turn) * OTHER_START % n : 0;
+    possible.reserve(n);
+    for (size_t k = 0; k < n; k++) {
+        const size_t i = start + k < n ? start + k : start + k - n, ahead = std::min(i + AHEAD, n - 1);
+        if (k % 8 == 0) plane.prefetch(plane.index(lattice.place[2 * ahead], lattice.place[2 * ahead + 1]));
+        if (!is_possible(plane, lattice, i, limits)) continue;
+        const ptrdiff_t at = plane.index(lattice.place[2 * i], lattice.place[2 * i + 1]);
+        for (size_t side = 2; side < SIDES; side++) plane.prefetch(at + lattice.step[side]);
+        possible.push_back(i);
+    }
+    return possible;
+}
+
 /// Return dark spots on the ball, away from the places `known`: centroids of the dark pixels around a sample.
 Points find(const Plane& plane, const Lattice& lattice, const Limits& limits, const Search& search,
             const Points& known) {
@@ -157,11 +173,8 @@ Points find(const Plane& plane, const Lattice& lattice, const Limits& limits, co
     Points found, rejected;
     for (const Rejection& r : search.rejected)
         if (r.until > double(search.turn)) rejected.push_back(r.place);
-    const size_t n = lattice.size, start = n ? size_t(search.turn) * OTHER_START % n : 0;
-    for (size_t k = 0; k < n && found.size() < MAX_FOUND; k++) {
-        const size_t i = start + k < n ? start + k : start + k - n, ahead = std::min(i + AHEAD, n - 1);
-        if (k % 8 == 0) plane.prefetch(plane.index(lattice.place[2 * ahead], lattice.place[2 * ahead + 1]));
-        if (!is_possible(plane, lattice, i, limits)) continue;
+    for (const size_t i : possible_samples(plane, lattice, limits, search.turn)) {
+        if (found.size() >= MAX_FOUND) break;
         const std::optional<float> level = dark_level(plane, lattice, i, limits);
         if (!level) continue;
         Vector<2> at(lattice.place[2 * i], lattice.place[2 * i + 1]);
