@@ -235,6 +235,11 @@ def test_nothing_that_is_there_is_lost(tmp_path):
         little(tmp_path / "file")
 
 
+def test_a_small_picture_has_places_for_many_photos():
+    """Seed 3 draws 2.9 m, from where the rings are too narrow."""
+    assert len(prepare_stills(StillsOptions(photos=12, boards=0, size=(960, 540), seed=3)).device_poses) == 12
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -68,13 +68,18 @@ def device_stations(scene: Scene, n: int, rng: np.random.Generator) -> tuple[Pos
 
 
 def _station(scene: Scene, station: tuple[float, float, float, float], rng: np.random.Generator) -> Pose:
-    """Return a hand-held pose near this place that has all in view, farther or nearer to the front if need be."""
+    """Return a hand-held pose near this place that has all in view.
+
+    If need be it is farther away, or closer if the rings would be too narrow, or nearer to the front.
+    """
     azimuth, elevation, distance, roll = station
+    start = np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M)
+    farther, closer = np.arange(start, _MAX_DISTANCE_M + 0.01, 0.1), np.arange(start, _MIN_DISTANCE_M, -0.1)
     for nearer in np.linspace(1.0, 0.0, 21):
         dx, dy, dr = rng.normal(0.0, (1.5, 1.5, 2.0))
         a, e = np.radians((nearer * azimuth + dx, nearer * elevation + dy))
         direction = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
-        for reach in np.arange(np.clip(distance, _MIN_DISTANCE_M, _MAX_DISTANCE_M), _MAX_DISTANCE_M + 0.01, 0.1):
+        for reach in (*farther, *closer[1:]):
             pose = looking(_AIM + reach * direction, _AIM, np.radians(roll + dr))
             if _in_room(pose) and _shows(replace(scene, pose=pose)):
                 return pose
