@@ -3,7 +3,7 @@
     python docs/tray_figures.py
 
 Writes docs/images/tray-*.png. A control socket with given states stands in for the daemon. It has the requirements of
-tests/system/tray.py, PyGObject included.
+tests/system/desk.py, and needs PyGObject (Debian: python3-gi gir1.2-ayatanaappindicator3-0.1).
 """
 
 import contextlib
@@ -46,7 +46,7 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     """Return pictures of the tray on a panel of this colour, by state. With `menu`, write one of the menu to a file."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        desk = Desktop(stack, folder, ground)
+        desk = Desktop(stack, ground)
         socket = folder / "control.sock"
         command = [sys.executable, "-m", "spheremouse", "tray", "--socket", str(socket)]
         stack.enter_context(process(*command, env=desk.env))

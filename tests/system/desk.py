@@ -1,4 +1,4 @@
-"""A desktop to test on: an X server without a screen, a panel with a tray, and a session bus. Pictures of it are taken.
+"""A desktop for docs/tray_figures.py: an X server without a screen, a panel with a tray, and a session bus.
 
 Needs Xvfb, trayer, xdotool and dbus (Debian: xvfb trayer xdotool dbus), and python-xlib, which pystray brings.
 """
@@ -7,7 +7,6 @@ import contextlib
 import importlib.util
 import os
 import shutil
-import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +16,8 @@ from PIL import Image, ImageChops, ImageStat
 
 from spheremouse.commands.tray.view import STATES, icon
 
-PROGRAMS = ("Xvfb", "trayer", "xdotool", "dbus-daemon", "dbus-monitor")
+PROGRAMS = ("Xvfb", "trayer", "xdotool", "dbus-daemon")
 SIDE = 32  # px, of the panel
-GROUND = (46, 52, 54)
 
 
 def missing() -> str:
@@ -61,8 +59,7 @@ def process(*command: str, **options: object) -> Iterator[subprocess.Popen[str]]
 class Desktop:
     """The desktop; `env` is for programs that are to run on it."""
 
-    def __init__(self, stack: contextlib.ExitStack, folder: Path, ground: tuple[int, int, int] = GROUND) -> None:
-        self._stack, self._folder, self._ground = stack, folder, ground
+    def __init__(self, stack: contextlib.ExitStack, ground: tuple[int, int, int]) -> None:
         read, write = os.pipe()
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         stack.enter_context(
@@ -83,27 +80,10 @@ class Desktop:
         assert bus.stdout is not None
         address = bus.stdout.readline().strip()
         self.env = own | {"DISPLAY": self.display, "DBUS_SESSION_BUS_ADDRESS": address, "NO_AT_BRIDGE": "1"}
-        self.panel: subprocess.Popen[str] | None = None
-        self._heard = folder / "notices"
-        listening = self._stack.enter_context(self._heard.open("w"))
-        stack.enter_context(
-            process("dbus-monitor", "member='Notify'", stdout=listening, stderr=subprocess.DEVNULL, env=self.env)
-        )
-        self.start_panel()
-
-    def start_panel(self) -> None:
-        self.end_panel()
-        tint = "0x{:02x}{:02x}{:02x}".format(*self._ground)
+        tint = "0x{:02x}{:02x}{:02x}".format(*ground)
         command = ["trayer", "--edge", "top", "--align", "left", "--widthtype", "request", "--height", str(SIDE)]
         command += ["--transparent", "true", "--alpha", "0", "--tint", tint, "--SetDockType", "true"]
-        self.panel = self._stack.enter_context(
-            process(*command, env=self.env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        )
-
-    def end_panel(self) -> None:
-        if self.panel is not None:
-            self.panel.terminate()
-            self.panel.wait()
+        stack.enter_context(process(*command, env=self.env, **quiet))
 
     def picture(self) -> Image.Image:
         from Xlib import X
@@ -135,13 +115,10 @@ class Desktop:
                             best, far = state, off
         return best
 
-    def click(self, button: int = 1) -> None:
-        self._do("mousemove", str(SIDE // 2), str(SIDE // 2), "click", str(button))
-
     def choose(self, place: int, picture: Path | None = None) -> None:
         """Open the menu and take the entry `place` (from 1) among those that can be chosen."""
         before = self.picture()
-        self.click()
+        self._do("mousemove", str(SIDE // 2), str(SIDE // 2), "click", "1")
         assert until(lambda: _differ(before, self.picture()), 10.0), "no menu opens"
         time.sleep(0.5)
         for _ in range(place):
@@ -151,9 +128,6 @@ class Desktop:
             self.picture().save(picture)
         self._do("key", "Return")
 
-    def notices(self) -> str:
-        return self._heard.read_text(encoding="utf-8")
-
     def _do(self, *command: str) -> None:
         subprocess.run(["xdotool", *command], env=self.env, check=True)
 
@@ -162,8 +136,3 @@ def _differ(a: Image.Image, b: Image.Image) -> bool:
     """Whether more than an icon has changed."""
     box = ImageChops.difference(a, b).getbbox()
     return box is not None and box[3] > 2 * SIDE
-
-
-def end(running: subprocess.Popen[str], number: int = signal.SIGTERM) -> int:
-    running.send_signal(number)
-    return running.wait(20)
