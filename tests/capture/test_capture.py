@@ -121,14 +121,6 @@ def test_opencv_and_ffmpeg_add_no_lines_of_their_own(film, tmp_path):
         assert (run.stdout.count("\n"), run.stderr) == (1, "")
 
 
-def test_a_dataset_brings_its_rig(far26):
-    with open_source(f"dataset:{far26}") as source:
-        assert source.rig is not None
-        assert (source.rig.camera.width, source.count, source.live) == (640, 300, False)
-        first = next(iter(source))
-    assert (first.stamp, first.sequence, first.image.shape) == (0.0, 0, (480, 640, 3))
-
-
 def test_a_simulated_camera_brings_its_rig():
     with open_source("synthetic:motion=play,seconds=0.1,noise=2, size=[320, 240] ,fps=20") as source:
         assert source.rig is not None

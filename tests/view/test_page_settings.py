@@ -35,8 +35,8 @@ def test_buttons_reach_the_service(page, service):
 @pytest.mark.slow
 def test_each_setting_of_daily_use_reaches_the_service(page, service):
     rows = page.locator("#panel-Tune .setting")
+    wait_for("the settings", lambda: rows.count() >= 8)
     keys = [row.get_attribute("data-key") for row in rows.all()]
-    assert len(keys) >= 8
     for key in keys:
         control = field(page, "tune", key)
         kind = control.evaluate("e => e.tagName === 'SELECT' ? 'select' : e.type")

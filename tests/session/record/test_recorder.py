@@ -356,17 +356,18 @@ def test_the_worker_never_waits(tmp_path, monkeypatch):
     assert f"{300 - len(taken)} dropped" in words
 
 
-@pytest.mark.parametrize("frame", [False, True], ids=["without another frame", "at the next frame"])
 @pytest.mark.parametrize(
-    ("change", "words"),
-    [({"time": 5.1}, "ended after 5 s"), ({"time": 1.0, "free": 9e7}, "100 MB are free on the disk")],
+    ("change", "words", "frame"),  # and whether another frame comes
+    [
+        ({"time": 5.1}, "ended after 5 s", False),
+        ({"time": 5.1}, "ended after 5 s", True),
+        ({"time": 1.0, "free": 9e7}, "100 MB are free on the disk", True),  # which is looked at with a frame
+    ],
 )
 def test_it_ends_after_its_time_and_before_the_disk_is_full(tmp_path, monkeypatch, change, words, frame):
     monkeypatch.setattr(module, "_CHECK_INTERVAL_S", 0.05)
     now = {"time": 0.0, "free": 1e9}
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=now["free"]))
-    if "free" in change and not frame:
-        pytest.skip("the disk is looked at with a frame")
     settings = RecordSettings(seconds=5.0, free_megabytes=100.0, everything=True)
     recorder = begin(tmp_path / "made", settings, clock=lambda: now["time"])
     assert recorder.add(small_frame(0))

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 import simplejpeg
@@ -309,9 +308,3 @@ def test_the_process_loads_neither_scipy_nor_opencv():
         "print(*(m for m in sys.modules if m.split('.')[0] in ('scipy', 'cv2', 'matplotlib') or '.native.' in m))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
-
-
-def test_the_page_stays_small():
-    folder = Path(server_module.__file__).parent
-    for files, limit in (("*.py", 1200), ("static/*.[jc]s*", 2800)):
-        assert sum(len(file.read_text().splitlines()) for file in folder.glob(files)) <= limit
