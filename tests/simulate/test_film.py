@@ -193,8 +193,8 @@ def test_noise_brightness_and_dimming_are_what_they_say(small):
     assert np.array_equal(film(brightness=-50.0), np.maximum(plain - 50.0, 0.0))
     assert np.array_equal(film(brightness=50.0), np.minimum(plain + 50.0, 255.0))
     dim = (Dimming(0.5, 2.0, 0.4),)
-    assert np.max(np.abs(film(dimming=dim) - 0.4 * plain)) <= 0.71
-    assert np.array_equal(film(t=2.5, dimming=dim), plain)
+    assert np.max(np.abs(film(light=dim) - 0.4 * plain)) <= 0.71
+    assert np.array_equal(film(t=2.5, light=dim), plain)
 
 
 def test_bolts_and_discs_are_equally_dark(small):
@@ -406,7 +406,7 @@ def test_another_layout_is_another_ball_in_the_same_play():
 
 def test_light_on_the_mains_flickers_from_frame_to_frame_and_in_bands(small):
     def ratio(t, **changes):
-        lit = altered(small, RenderOptions(flicker=Flicker(0.3)), **changes).frame(still(), t, 0, rng())
+        lit = altered(small, RenderOptions(light=(Flicker(0.3),)), **changes).frame(still(), t, 0, rng())
         grey = (small.backdrop.white > 60) & (small.backdrop.white < 150)
         rows = [np.median(lit.frame.image[v][grey[v]] / small.backdrop.white[v][grey[v]]) for v in range(20, 220)]
         return np.array(rows)

@@ -24,8 +24,8 @@ class Dimming:
     end: float  # s
     factor: float  # on the grey values, as on the light: the camera is linear
 
-    def at(self, t: Array) -> Array:
-        """Return the factor at times `t` (s, any shape). A change takes 0.2 s."""
+    def at(self, t: Array, _: float) -> Array:
+        """Return the factor at times `t` (s, any shape), for any exposure. A change takes 0.2 s."""
         return 1.0 + (self.factor - 1.0) * smoothstep(np.minimum(t - self.start, self.end - t) / 0.2)
 
 

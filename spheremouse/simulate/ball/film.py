@@ -114,10 +114,12 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
     if options.cover is not None:  # half a second to come and to go
         start, end = options.cover - 0.5, options.cover + options.cover_seconds + 0.5
         visits += [HandVisit(start, end, right, size=1.12) for right in (True, False)]
-    dimming: tuple[Dimming, ...] = ()
+    light: list[Dimming | Flicker] = []
     if options.dim is not None:
         at, middle = options.dim_at, (0.4 * seconds, 0.6 * seconds)
-        dimming = (Dimming(*(middle if at is None else (at, at + options.dim_seconds)), options.dim),)
+        light.append(Dimming(*(middle if at is None else (at, at + options.dim_seconds)), options.dim))
+    if options.flicker > 0.0:
+        light.append(Flicker(options.flicker, options.mains))
     x, y, z = (1e-3 * v for v in options.lift_by)
     shifts: list[Lift | Sway] = [Sway((1e-3 * options.sway, 0.0, 0.0))] if options.sway else []
     if options.lift is not None:
@@ -125,9 +127,8 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
     return RenderOptions(
         noise=options.noise,
         brightness=options.brightness,
-        dimming=dimming,
+        light=tuple(light),
         hands=tuple(visits),
-        flicker=None if options.flicker == 0.0 else Flicker(options.flicker, options.mains),
         limited=options.limited,
         lifts=tuple(shifts),
         eccentric=(1e-3 * options.eccentric / 3.0**0.5,) * 3,

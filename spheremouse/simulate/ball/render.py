@@ -33,9 +33,8 @@ class RenderOptions:
 
     noise: float = 0.0  # grey values, standard deviation, normal, independent in every channel
     brightness: float = 0.0  # grey values, added to all (Wittich 2017, table 24)
-    dimming: tuple[Dimming, ...] = ()
+    light: tuple[Dimming | Flicker, ...] = ()
     hands: tuple[HandVisit, ...] = ()
-    flicker: Flicker | None = None
     limited: bool = False  # grey values 16..235 in place of 0..255
     lifts: tuple[Lift | Sway, ...] = ()
     eccentric: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, ball: its centre from the point it turns about
@@ -77,11 +76,8 @@ class Renderer:
         attitude = profile.attitude(now)[0]
         centre = sum((x.at(t) for x in options.lifts), attitude @ np.array(options.eccentric))
         picture, discs = self.picture(profile, t, centre)
-        if options.dimming or options.flicker is not None:
-            times = self._surface.row_times(t)
-            factor = np.prod([d.at(times) for d in options.dimming], axis=0)
-            if options.flicker is not None:
-                factor = factor * options.flicker.at(times, scene.exposure_s)
+        for change in options.light:
+            factor = change.at(self._surface.row_times(t), scene.exposure_s)
             picture *= np.reshape(factor, (-1, 1, 1)).astype(np.float32)
         image = expose(picture, options.noise, rng, options.brightness)
         if options.limited:

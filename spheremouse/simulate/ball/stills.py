@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.rig import Targets
+from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.write import device_description
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -192,16 +192,6 @@ _BOLT_OVER_DISC = 0.525  # radii of a disc: as in the reference recordings
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceShape:
-    """The device to photograph in place of the default one."""
-
-    ball_radius: float  # m
-    disc_radius: float  # m, along the ball's surface
-    targets: Targets
-    directions: Array  # (n, 3) unit vectors to the discs, obj: the ball lies still
-
-
-@dataclass(frozen=True, slots=True)
 class Stills:
     """Everything that `photos` needs."""
 
@@ -217,8 +207,11 @@ class Photo(NamedTuple):
     image: NDArray[np.uint8]  # (h, w, 3) blue, green, red
 
 
-def prepare_stills(options: StillsOptions, device: DeviceShape | None = None) -> Stills:
-    """Return device, lens and camera places. Raise ConfigurationError if no picture is possible with the options."""
+def prepare_stills(options: StillsOptions, device: tuple[Rig, Array] | None = None) -> Stills:
+    """Return device, lens and camera places. Raise ConfigurationError if no picture is possible with the options.
+
+    `device` is the one to photograph, with unit vectors (n, 3), obj, to its discs; None: the default one.
+    """
     rng = np.random.default_rng([options.seed, 3])
     scene = _scene(options, device)
     stations = device_stations(scene, options.photos, rng)
@@ -256,7 +249,7 @@ def truth_of(stills: Stills) -> dict[str, Any]:
     }
 
 
-def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
+def _scene(options: StillsOptions, device: tuple[Rig, Array] | None) -> Scene:
     """Return the scene of the photos: camera, ball and device by the options."""
     width, height = options.size
     # The diagonal sets the scale: the lens folds in the outermost corners, as far out at every aspect ratio.
@@ -271,12 +264,14 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
         raise ConfigurationError(f"--discs: {e}") from None
     if device is None:
         return scene
+    rig, directions = device
+    radius = rig.disc_radius or scene.disc_radius
     return replace(
         scene,
-        ball_radius=device.ball_radius,
-        disc_directions=device.directions,
-        disc_radius=device.disc_radius,
-        targets=device.targets,
-        surroundings=(*frame(device.targets, _BOLT_OVER_DISC * device.disc_radius), *room()),
-        lighting=Lighting(LAMPS, STRIPS, device.ball_radius),
+        ball_radius=rig.ball.radius,
+        disc_directions=directions,
+        disc_radius=radius,
+        targets=rig.targets,
+        surroundings=(*frame(rig.targets, _BOLT_OVER_DISC * radius), *room()),
+        lighting=Lighting(LAMPS, STRIPS, rig.ball.radius),
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.board import NAME, Pattern, save_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
@@ -16,7 +17,7 @@ from spheremouse.simulate.ball import board
 from spheremouse.simulate.ball.film import Simulation
 from spheremouse.simulate.ball.profile import shown_to_axes
 from spheremouse.simulate.ball.render import RenderOptions
-from spheremouse.simulate.ball.stills import DeviceShape, Stills, photos, truth_of
+from spheremouse.simulate.ball.stills import Stills, photos, truth_of
 
 _GESTURE_FPS = 10.0  # Hz, enough for gestures
 _TAPE_SIGMA = 0.001  # m, standard deviation of a tape measure held by hand
@@ -24,9 +25,10 @@ _TAPE_SIGMA = 0.001  # m, standard deviation of a tape measure held by hand
 _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
-def device_of(dataset: Path) -> DeviceShape:
-    """Return ball, targets and discs of a dataset, with the true attitude of its first frame, or the identity.
+def device_of(dataset: Path) -> tuple[Rig, Array]:
+    """Return the device of a dataset, and unit vectors to its discs, (n, 3) obj, in its first frame.
 
+    Without a true attitude, that is the identity.
     Raises DatasetError if it is invalid, and CalibrationError without the true places of the discs, or with fewer than
     three targets.
     """
@@ -41,7 +43,7 @@ def device_of(dataset: Path) -> DeviceShape:
             f"{dataset}: {len(rig.targets.ids)} ring targets in scene.json; photos of a device need 3 or more"
         )
     attitude = np.eye(3) if recording.truth is None else recording.truth.attitude[0]
-    return DeviceShape(rig.ball.radius, rig.disc_radius, rig.targets, directions @ attitude.T)
+    return rig, directions @ attitude.T
 
 
 def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
