@@ -114,6 +114,9 @@ def _rolling_rows(data: dict[str, Any]) -> Iterator[Row]:
     if unit == "mm":
         radius, sigma = (f"{size * data['ball'][key]:.{digits}f} mm" for key in ("radius", "sigma"))
         yield "ball's radius", radius, sigma
+    if data["eccentric"]:
+        off, sigma = (f"{size * data[key]:.{digits}f} {unit}" for key in ("eccentricity", "eccentricity_sigma"))
+        yield "ball off its pivot by", off, sigma
     if 0.0 < data["readout_sigma_s"] < 1e-3 and data["readout_s"] > 2e-3:  # a rolling shutter
         yield "readout of all rows", f"{1e3 * data['readout_s']:.1f} ms", f"{1e3 * data['readout_sigma_s']:.1f} ms"
     yield "frames used", f"{int(data['frames'])} of {int(data['frames_given'])}", ""

@@ -24,6 +24,7 @@ ROLLING = {
     "T_obj_cam": [[1, 0, 0, 0.1], [0, 1, 0, 0.2], [0, 0, 1, 2.4]], "sigma_position": [0.001, 0.002, 0.003],
     "ball": {"radius": 0.6, "sigma": 0.001}, "readout_s": 0.01,
     "readout_sigma_s": 0.0001, "sightings": 900, "rejected": 3,
+    "eccentricity": 0.002, "eccentricity_sigma": 0.0001, "eccentric": True,
 }  # fmt: skip
 
 
@@ -40,7 +41,8 @@ def read(folder, data, name="rig"):
                             ("target MCY", "-100.00, 200.00, 0.00 mm", "0.10, 0.20, 0.30 mm"),
                             ("1 to 2", "300.4 mm, -0.4 mm from the tape", "0.2 mm")]),
         (DEVICE | {"scale_free": True, "distances": []}, "device", [("ball Z", "-0.20 radii", "0.00 radii")]),
-        (ROLLING, "rolling", [("distance over radius", "4.000000", "0.000010"), ("frames used", "90 of 100", ""),
+        (ROLLING, "rolling", [("distance over radius", "4.000000", "0.000010"),
+                              ("ball off its pivot by", "2.00 mm", "0.10 mm"), ("frames used", "90 of 100", ""),
                               ("camera's place", "100.00 200.00 2400.00 mm", "1.00 2.00 3.00 mm")]),
         (ROLLING | {"ball": {"radius": 0.005, "sigma": 1e-6}}, "rolling", [("ball's radius", "5.0000 mm", "0.0010 mm")])
     ],

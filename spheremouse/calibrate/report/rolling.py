@@ -22,6 +22,7 @@ def rolling_json(solution: Solution, source: str, rig: Rig) -> dict[str, Any]:
     """Return the figures of `--json`; lengths in m, or in radii of the ball if the scale is free."""
     rolled = solution.rolled
     ratio_sigma, direction_sigma = sigmas(rolled)
+    radius = rig.ball.radius
     assert rig.pose is not None
     sigma = np.sqrt(np.diag(rig.pose.covariance))
     return {
@@ -33,9 +34,12 @@ def rolling_json(solution: Solution, source: str, rig: Rig) -> dict[str, Any]:
         "sigma_position": sigma[:3].tolist(),
         "sigma_angle_deg": np.rad2deg(sigma[3:]).tolist(),
         "scale": "free" if rig.scale_free else "metric",
-        "ball": {"radius": rig.ball.radius, "sigma": float(np.sqrt(rig.ball.covariance[3, 3]))},
+        "ball": {"radius": radius, "sigma": float(np.sqrt(rig.ball.covariance[3, 3]))},
         "disc_radius": rig.disc_radius,
         "discs": [d.tolist() for d in rig.disc_directions] if rig.disc_directions is not None else [],
+        "eccentricity": radius * float(np.linalg.norm(rolled.rolling.eccentricity)),
+        "eccentricity_sigma": radius * float(np.trace(rolled.eccentricity_covariance)) ** 0.5,
+        "eccentric": rolled.is_eccentric,
         "readout_s": rolled.rolling.readout,
         "readout_sigma_s": rolled.readout_sigma,
         "frames": len(rolled.rolling.stamp),

@@ -1,9 +1,10 @@
 """Bundle adjustment of a rolling ball: sightings of its discs in; the ball in the camera and the map of its discs out.
 
-The discs lie on a rigid sphere that rotates about its centre. Unknown are the direction to the centre, its distance
-over the radius, the direction of each disc, the attitude in each frame, and the readout time of a rolling shutter. The
-radius stays open. So does the rotation of the ball's own axes, which inner constraints remove (free network). Only
-the covariance is computed without each frame's attitude (Schur complement; Förstner, Wrobel 2016, section 15.2).
+The discs lie on a rigid sphere that rotates about a fixed point near its centre. Unknown are the direction to that
+point, its distance over the radius, the centre's place in the ball's axes, the direction of each disc, the attitude in
+each frame, and the readout time of a rolling shutter. The radius stays open. So does the rotation of the ball's own
+axes, which inner constraints remove (free network). Only the covariance is computed without each frame's attitude
+(Schur complement; Förstner, Wrobel 2016, section 15.2).
 """
 
 from dataclasses import replace
@@ -14,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spheremouse.calibrate.rolling.problem import (
+    ECCENTRICITY,
     GLOBAL,
     RATES,
     READOUT,
@@ -119,6 +121,7 @@ def _result(
         at,
         T @ C @ T.T,
         C[GLOBAL:, GLOBAL:],
+        C[ECCENTRICITY, ECCENTRICITY],
         float(np.hypot(np.sqrt(C[READOUT, READOUT]), RATES * at.readout)),
         s,
         residual,

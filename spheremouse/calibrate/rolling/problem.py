@@ -1,6 +1,6 @@
 """Adjustment of a rolling ball: observations, unknowns, residuals, Jacobian, and the minimum."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
 RATES = 0.005  # relative error of rates from differences of attitudes, when a hand pushes
-GLOBAL, READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
+GLOBAL, READOUT, ECCENTRICITY = 7, 3, slice(4, 7)  # unknowns before the discs: direction 2, log ratio, and these
+_ECCENTRIC_SIGMA = 2e-3  # radii, expected along each axis: a millimetre on a ball of a metre
+_ECCENTRIC_CHI2 = 21.1  # with 3 degrees of freedom: one centred ball in ten thousand exceeds it
 _MIN_READOUT_SIGMA = 1e-7  # s, for a readout that is known exactly
 
 
@@ -36,12 +38,13 @@ class Sightings:
 class Rolling:
     """Geometry of ball, camera and discs, in units of the ball's radius."""
 
-    direction: Array  # (3,) unit vector in cam, to the ball's centre
-    ratio: float  # distance of the centre over the radius
+    direction: Array  # (3,) unit vector in cam, to the point that the ball turns about
+    ratio: float  # distance of that point over the radius
     discs: Array  # (m, 3) unit vectors in ball
     stamp: Array  # (f,) s
     attitude: Array  # (f, 3, 3) R_cam_ball at the stamps
     readout: float = 0.0  # s, time a rolling shutter takes over all rows
+    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) ball, from where it turns to its centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,7 @@ class RollingAdjustment:
     rolling: Rolling
     covariance: Array  # (4, 4) of direction (3 along its tangent plane, rad) and ratio
     disc_covariance: Array  # (2m, 2m) rad², of errors along rotation.tangent_basis(discs), free network
+    eccentricity_covariance: Array  # (3, 3) radii²
     readout_sigma: float  # s
     sightings: Sightings
     residual: Array  # (n, 2) px
@@ -58,6 +62,12 @@ class RollingAdjustment:
     variance_factor: float  # of the sightings, over the assumed variance
     correlation: float  # factor on the variances of the result for errors that are correlated in time or place
     by_lens: Array  # (4, 9) errors of direction and ratio per standard deviation along `lens_root`
+
+    @property
+    def is_eccentric(self) -> bool:
+        """Return whether the ball's centre is significantly off the point that it turns about."""
+        e = self.rolling.eccentricity
+        return bool(e @ np.linalg.solve(self.eccentricity_covariance, e) > _ECCENTRIC_CHI2)
 
     @property
     def rms(self) -> float:
@@ -69,29 +79,30 @@ class RollingAdjustment:
 class Equations:
     """Residuals and Jacobians of unit variance.
 
-    The unknowns are direction 2, log ratio, readout, discs 2 each, which all frames share, and each frame's attitude 3.
+    All frames share direction 2, log ratio, readout, eccentricity 3 and discs 2 each. Each has its own attitude 3.
     """
 
     residual: Array  # (n, 2)
-    jacobian: Jacobian  # (2n, 4 + 2m + 3f)
+    jacobian: Jacobian  # (2n, 7 + 2m + 3f)
     turn: Array  # (n, 2, 3) by the frame's attitude, left error in cam
     camera: Array  # (n, 2, 9) by the interior orientation
 
 
 def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equations:
-    """Residuals and Jacobians of points p = ratio c + R d, with R = exp(readout row w) R_cam_ball (rolling shutter)."""
+    """Residuals and Jacobians of points p = ratio c + R (e + d), with R = exp(readout row w) R_cam_ball."""
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)
     rate = angular_rates(at)[s.frame]
     row_rotation = exp(rate * (at.readout * row)[:, None])
-    d = np.einsum("nij,njk,nk->ni", row_rotation, at.attitude[s.frame], at.discs[s.disc])
+    R = row_rotation @ at.attitude[s.frame]
+    d = np.einsum("nij,nj->ni", R, at.eccentricity + at.discs[s.disc])
     points = at.ratio * at.direction + d
     uv, by_point = project(points, camera)
     W = whitening(s.covariance)
     residual = np.einsum("nij,nj->ni", W, s.centre - uv)
     A = W @ by_point
     basis = tangent_basis(at.discs)[s.disc]
-    by_disc = A @ row_rotation @ at.attitude[s.frame] @ basis
+    by_disc = A @ R @ basis
     turned = np.einsum("nij,nj->ni", row_rotation.transpose(0, 2, 1), d)  # at the frame's stamp
     by_turn = A @ row_rotation @ -hat(turned)
     by_global = np.concatenate(
@@ -99,6 +110,7 @@ def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equa
             at.ratio * A @ tangent_basis(at.direction),
             at.ratio * (A @ at.direction)[:, :, None],
             np.einsum("nij,nj->ni", A, np.cross(rate, d) * row[:, None])[:, :, None],
+            A @ R,
         ],
         axis=2,
     )
@@ -168,10 +180,10 @@ class Eliminated:
         # remove the weight that held the rotation of the axes
         P = np.eye(len(Q)) - self.free @ self.free.T
         Q = P @ Q @ P
-        self.cofactors = 0.5 * (Q + Q.T)  # of the shared unknowns, (4 + 2m, 4 + 2m)
+        self.cofactors = 0.5 * (Q + Q.T)  # of the shared unknowns, (7 + 2m, 7 + 2m)
 
     def reduced(self) -> Array:
-        """Return the Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 4 + 2m)."""
+        """Return the Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 7 + 2m)."""
         turn, shared = self.equations.turn, len(self.cofactors)
         J = self.equations.jacobian[:, :shared].toarray().reshape(len(turn), 2, shared)
         return J - turn @ self._gain[self.frame]
@@ -201,29 +213,31 @@ def minimise(
 
 
 def _observations(at: Rolling, equations: Equations, readout: tuple[float, float]) -> tuple[Array, Jacobian]:
-    """Return residuals, computed minus measured, (2n + 4,), and their Jacobian by all unknowns.
+    """Return residuals, computed minus measured, (2n + 7,), and their Jacobian by all unknowns.
 
-    The last rows are of the readout, and of the rotation of the ball's axes, which is held. The residuals are nan if
-    the camera is within the ball.
+    The last rows are of the readout, of the eccentricity, and of the rotation of the ball's axes, which is held. The
+    residuals are nan if the camera is within the ball.
     """
     J, free = equations.jacobian, _free(at)
     weight = np.sqrt(np.median(np.asarray(J.power(2).sum(axis=0)).ravel()[GLOBAL : len(free)]))
     sigma = max(readout[1], _MIN_READOUT_SIGMA)
-    held = np.vstack([np.eye(1, len(free), READOUT) / sigma, weight * free.T])
-    rows = sparse.hstack([held, sparse.csr_array((4, 3 * len(at.attitude)))])
-    residual = np.concatenate([-equations.residual.ravel(), [(at.readout - readout[0]) / sigma], np.zeros(3)])
+    expected = np.eye(4, len(free), READOUT) / np.array([[sigma], *[[_ECCENTRIC_SIGMA]] * 3])
+    rows = sparse.hstack([np.vstack([expected, weight * free.T]), sparse.csr_array((7, 3 * len(at.attitude)))])
+    off = [(at.readout - readout[0]) / sigma, *at.eccentricity / _ECCENTRIC_SIGMA]
+    residual = np.concatenate([-equations.residual.ravel(), off, np.zeros(3)])
     return residual if at.ratio > 1.0 else np.nan * residual, sparse.csr_array(sparse.vstack([J, rows]))
 
 
 def _free(at: Rolling) -> Array:
-    """Orthonormal basis, (4 + 2m, 3), of the rotations of the ball's axes: a disc moves by e x d."""
+    """Orthonormal basis, (7 + 2m, 3), of the rotations of the ball's axes: a vector v moves by w x v."""
     free = np.zeros((GLOBAL + 2 * len(at.discs), 3))
+    free[ECCENTRICITY] = -hat(at.eccentricity)
     free[GLOBAL:] = -(tangent_basis(at.discs).transpose(0, 2, 1) @ hat(at.discs)).reshape(-1, 3)
     return np.linalg.qr(free)[0]
 
 
 def apply_step(at: Rolling, step: Array) -> Rolling:
-    """Apply a step of the shared unknowns and of the attitudes, (4 + 2m + 3f,)."""
+    """Apply a step of the shared unknowns and of the attitudes, (7 + 2m + 3f,)."""
     dx, de = np.split(step, [GLOBAL + 2 * len(at.discs)])
     c = at.direction + tangent_basis(at.direction) @ dx[:2]
     d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[GLOBAL:].reshape(-1, 2))
@@ -232,6 +246,7 @@ def apply_step(at: Rolling, step: Array) -> Rolling:
         direction=c / np.linalg.norm(c),
         ratio=at.ratio * float(np.exp(np.clip(dx[2], -0.5, 0.5))),
         readout=at.readout + float(dx[READOUT]),
+        eccentricity=at.eccentricity + dx[ECCENTRICITY],
         discs=d / np.linalg.norm(d, axis=1, keepdims=True),
         attitude=exp(de.reshape(-1, 3)) @ at.attitude,
     )

@@ -163,8 +163,7 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
     placed = place(rolled, found, radius, rescaled=free)
     has_targets = bool(found.targets.ids) and (source == "targets" or radius is not None)
     at_first = found.rotation @ rolled.rolling.attitude[0]
-    seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
-    disc_map = DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen).turned(at_first)
+    disc_map = _map(rolled, placed.ball.radius).turned(at_first)
     readout, sigma = rolled.rolling.readout, rolled.readout_sigma
     known = sigma < _MAX_READOUT_SIGMA and readout > -2.0 * sigma
     rig = Rig(
@@ -181,6 +180,16 @@ def build_rig(solution: Solution, axes: AxesFrom, radius: float | None, exposure
         scale_free=radius is None and (source != "targets" or free),
     )
     return RollingCalibration(rig, disc_map, source)
+
+
+def _map(rolled: RollingAdjustment, radius: float) -> DiscMap:
+    """Return the map of a ball of `radius` m, with its eccentricity if that is significant."""
+    seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
+    found = DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen)
+    if not rolled.is_eccentric:
+        return found
+    sigma = radius * float(np.linalg.eigvalsh(rolled.eccentricity_covariance)[-1]) ** 0.5
+    return replace(found, eccentricity=radius * rolled.rolling.eccentricity, eccentricity_sigma=sigma)
 
 
 class Placed(NamedTuple):

@@ -16,7 +16,7 @@ from spheremouse.calibrate.report.rolling import advise
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling.calibrate import Solution, Views, solve
-from spheremouse.calibrate.rolling.problem import Rolling, Sightings, angular_rates, apply_step, equations_of
+from spheremouse.calibrate.rolling.problem import GLOBAL, Rolling, Sightings, angular_rates, apply_step, equations_of
 from spheremouse.calibrate.rolling.rig import AxesFrom, build_rig, place
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream, section
@@ -46,21 +46,24 @@ def play(frames, fps, rng, speed=1.5):
     return np.array(R), rates
 
 
-def rolled(seed, frames=90, discs=40, sigma=0.1, readout=0.0, camera=CAMERA, fps=15.0, speed=1.5):
-    """A true `Rolling` and its sightings, with noise of `sigma` px or half of that."""
-    rng = np.random.default_rng(seed)
+def rolled(seed, frames=90, discs=40, sigma=0.1, readout=0.0, camera=CAMERA, fps=15.0, speed=1.5, eccentric=0.0):
+    """A true `Rolling` and its sightings, with noise of `sigma` px or half of that.
+
+    The eccentricity is random, with a standard deviation of `eccentric` radii.
+    """
+    rng, e = np.random.default_rng(seed), eccentric * np.random.default_rng([seed, 1]).normal(size=3)
     c = np.array([rng.uniform(-0.08, 0.08), rng.uniform(-0.08, 0.08), 1.0])
     c /= np.linalg.norm(c)
     ratio = rng.uniform(2.4, 4.2)
     R, rates = play(frames, fps, rng, speed)
     d = directions(discs, seed)
     stamp = np.arange(frames) / fps
-    truth = Rolling(c, ratio, d, stamp, R, readout)
+    truth = Rolling(c, ratio, d, stamp, R, readout, e)
     frame, disc = np.meshgrid(np.arange(frames), np.arange(discs), indexing="ij")
     frame, disc = frame.ravel(), disc.ravel()
     late = np.zeros(len(frame))
     for _ in range(5):  # the row it is seen in says when it is seen
-        turned = np.einsum("nij,njk,nk->ni", exp(rates[frame] * late[:, None]), R[frame], d[disc])
+        turned = np.einsum("nij,njk,nk->ni", exp(rates[frame] * late[:, None]), R[frame], e + d[disc])
         uv, _ = project(ratio * c + turned, camera)
         late = readout * ((uv[:, 1] + 0.5) / camera.height - 0.5)
     inside = np.all((uv > 0) & (uv < [camera.width, camera.height]), axis=1)
@@ -84,6 +87,7 @@ def disturbed(truth, seed, by=0.01):
         discs=d / np.linalg.norm(d, axis=1, keepdims=True),
         attitude=exp(rng.normal(0.0, by, (len(truth.attitude), 3))) @ truth.attitude,
         readout=0.0,
+        eccentricity=np.zeros(3),
     )
 
 
@@ -96,15 +100,14 @@ def place_nees(found, truth):
 
 
 def test_the_jacobian_is_that_of_the_residuals():
-    truth, s = rolled(3, frames=12, discs=12, readout=0.02)
-    at = disturbed(truth, 3)
-    at = replace(at, readout=0.01)
+    truth, s = rolled(3, frames=12, discs=12, readout=0.02, eccentric=0.01)
+    at = replace(disturbed(truth, 3), readout=0.01, eccentricity=truth.eccentricity)
     m, f, h = len(at.discs), len(at.attitude), 1e-6
     # Rates follow from the attitudes, and are held in the Jacobian: only the own turn is compared
     assert np.abs(angular_rates(at)).max() > 0.1
-    first, step = 4 + 2 * int(s.disc[0]), h * np.eye(4 + 2 * m + 3 * f)
-    turns = [step[4 + 2 * m + k :: 3].sum(axis=0) for k in range(3)]
-    for here, steps in ((at, step[[0, 1, 2, 3, first, first + 1]]), (replace(at, readout=0.0), turns)):
+    first, step = GLOBAL + 2 * int(s.disc[0]), h * np.eye(GLOBAL + 2 * m + 3 * f)
+    turns = [step[GLOBAL + 2 * m + k :: 3].sum(axis=0) for k in range(3)]
+    for here, steps in ((at, step[[*range(GLOBAL), first, first + 1]]), (replace(at, readout=0.0), turns)):
         J = equations_of(here, s, CAMERA).jacobian
         for dx in steps:
             plus, minus = (equations_of(apply_step(here, sign * dx), s, CAMERA).residual for sign in (1, -1))
@@ -117,7 +120,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     """Over 100 rollings the mean NEES of direction and ratio, and of the map, lies in the 95 % band."""
     runs, nees, discs, freedom = 100, 0.0, 0.0, 0
     for seed in range(runs):
-        truth, s = rolled(seed, frames=45, discs=24)
+        truth, s = rolled(seed, frames=45, discs=24, eccentric=2e-3)
         found = adjust_rolling(s, disturbed(truth, seed), CAMERA)
         nees += place_nees(found, truth)
         kept = np.flatnonzero(np.bincount(s.disc, minlength=24) >= 5)
@@ -140,6 +143,22 @@ def map_nees(found, true):
     value, vector = np.linalg.eigh(P @ Q @ P)
     firm = value > 1e-6 * value[-1]
     return float(np.sum((vector.T @ P @ error)[firm] ** 2 / value[firm])), int(firm.sum())
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_a_ball_that_is_not_centred_is_calibrated_about_the_point_that_it_turns_about(seed):
+    """By some millimetres on a ball of 1.2 m. The centre of a ball that is centred is found where it turns."""
+    truth, s = rolled(seed, frames=240, eccentric=3e-3)
+    found = adjust_rolling(s, disturbed(truth, seed), CAMERA)
+    assert place_nees(found, truth) < chi2.ppf(0.999, 3)
+    assert found.is_eccentric
+    here = align(truth.discs, found.rolling.discs) @ truth.eccentricity
+    error = found.rolling.eccentricity - here
+    assert error @ np.linalg.solve(found.eccentricity_covariance, error) < chi2.ppf(0.999, 3)
+    assert np.linalg.norm(error) < 0.1 * np.linalg.norm(here)
+    centred, s = rolled(seed, frames=240)
+    found = adjust_rolling(s, disturbed(centred, seed), CAMERA)
+    assert not found.is_eccentric
 
 
 def test_a_rolling_shutter_is_found():
