@@ -83,9 +83,9 @@ class Camera:
             return None
         time.sleep(max(0.0, stamp - now))
         self._next = due + 1
-        picture = self._pictures[self._number // self._shown % len(self._pictures)]
+        picture = self._pictures[self._number // self._shown % len(self._pictures)].copy()
         self._number += 1
-        return RawPicture(picture.copy(), None, stamp, self._number)
+        return RawPicture(picture, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), stamp, self._number)
 
     def describe(self):
         return "the practice camera"
