@@ -2,6 +2,7 @@
 
 The strongest edge on each normal of the predicted outline is a candidate. Struts, the base and hands hide much of the
 outline, and shading gives other edges. The result is the radius and the shift of the centre on which most edges agree.
+Near the limb the edges of a bold pattern run along the outline. If they are most of the edges, there is no result.
 """
 
 from typing import NamedTuple
@@ -101,7 +102,8 @@ def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
     """Return the ball that the outline shows; None if too little of it is seen.
 
     The size is unknown unless a fifth of the outline has an edge at one radius, and half as much at most at the rig's
-    if that is another. `image` is (h, w) or (h, w, 3), and `pose` that of its camera.
+    if that is another. `image` is (h, w) or (h, w, 3), and `pose` that of its camera. The outline of a ball with a bold
+    pattern counts as not seen.
     """
     home, radius = rig.ball.centre, rig.ball.radius
     found = _edges(image, rig, pose, home)
@@ -118,6 +120,8 @@ def seen_ball(image: Image, rig: Rig, pose: Pose) -> SeenBall | None:
     agree, rivals = (int(np.count_nonzero(np.abs(off) < 2.0 * sigma * radius)) for off in (fit.off, radius * error))
     if agree < _MIN_SUPPORT * found.normals or (abs(size) > 4.0 * sigma and 2 * rivals > agree):
         size, sigma, fit = 0.0, np.inf, as_rig
+    if _breaks_down(fit, found, radius):
+        return None
     trust = np.zeros(_POINTS)
     trust[found.which] = fit.weight
     return SeenBall(size, sigma, _centre(fit, found, rig, pose, home), trust)
@@ -134,7 +138,23 @@ def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array, trust: Arra
     if not _suffices(found, _POINTS // 2):
         return None
     prior = np.ones(len(found.which)) if trust is None else trust[2 * found.which]
-    return _centre(_fit(found, rig.ball.radius, np.zeros(3), prior), found, rig, pose, expected)
+    fit = _fit(found, rig.ball.radius, np.zeros(3), prior)
+    if _breaks_down(fit, found, rig.ball.radius, None if trust is None else prior / trust[::2].sum()):
+        return None
+    return _centre(fit, found, rig, pose, expected)
+
+
+def _breaks_down(fit: _Fit, found: _Edges, radius: float, trust: Array | None = None) -> bool:
+    """Return whether most edges are not of the fitted outline, so that a robust fit can follow them (Hampel 1971).
+
+    With a `trust`, (n,) of the found normals' share in the sum 1, they are the trusted normals. Otherwise they are the
+    edges on the outline and inside of it, since a ball's pattern has no edge outside.
+    """
+    off = fit.off * found.px / radius
+    on = np.abs(off) < 2.0 * _EDGE_SIGMA_PX
+    if trust is not None:
+        return float(trust @ on) < 0.5
+    return bool(np.count_nonzero(on) < np.count_nonzero(off <= -2.0 * _EDGE_SIGMA_PX))
 
 
 def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> SeenCentre:

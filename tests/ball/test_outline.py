@@ -92,6 +92,33 @@ def test_an_edge_that_is_not_the_balls_in_the_first_frame_is_none_later():
     assert error[1] < 5e-4
 
 
+def patched(picture, arc):
+    """The picture with patches of the background's grey at the limb, up to 4 % deep, on an arc of degrees."""
+    ball = picture.astype(float).reshape(*picture.shape[:2], -1)[..., 0]
+    inside = ball > 0.5 * ball.max()
+    radius = np.sqrt(inside.sum() / np.pi)
+    v, u = np.argwhere(inside).mean(axis=0)
+    y, x = np.indices(inside.shape)
+    angle = np.degrees(np.arctan2(y - v, x - u)) % 360.0
+    depth = 0.04 * np.sin(np.radians(6.0 * angle)) ** 2
+    patch = (angle < arc) & (np.hypot(x - u, y - v) > (1.0 - depth) * radius)
+    out = picture.copy()
+    out[patch] = 90
+    return out
+
+
+def test_patches_at_the_limb_are_no_outline():
+    """Their edges are parts of the ball, which turn with it. Most edges are theirs, and a robust fit follows them."""
+    rig, pose, plain = scene("far")
+    bold = patched(plain, 260.0)
+    assert seen_ball(bold, rig, pose) is None
+    first = seen_ball(plain, rig, pose)
+    assert seen_centre(bold, rig, pose, np.zeros(3), first.trust) is None
+    few = seen_centre(patched(plain, 100.0), rig, pose, np.zeros(3), first.trust)
+    off = few.place - first.centre.place
+    assert off @ np.linalg.solve(few.covariance + first.centre.scatter, off) < 9.0
+
+
 def test_a_shift_is_no_error_of_the_radius():
     """A mode of the radii alone would be that of the side to which the ball has moved."""
     rig, pose, picture = scene("far", shift=(0.004, 0.003, 0.0))
