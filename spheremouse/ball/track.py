@@ -31,6 +31,7 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3_mixture import mixture_covariance
 from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
@@ -329,7 +330,8 @@ def _estimate(
 ) -> Estimate:
     """Return the estimate of a frame with an increment of 6 components."""
     f, rate, covariance = state.filter, np.zeros(6), np.zeros((12, 12))
-    rate[:3], known = f.rate, f.covariance
+    rate[:3] = f.rate
+    known = mixture_covariance(f, state.alternatives) if state.alternatives else f.covariance
     covariance[:3, :3], covariance[6:9, 6:9] = known[:3, :3], known[3:, 3:]
     covariance[:3, 6:9], covariance[6:9, :3] = known[:3, 3:], known[3:, :3]
     return Estimate(

@@ -16,6 +16,7 @@ from spheremouse.ball.filters.so3 import Pairing, So3Filter
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.rotation import Array, rotation_between
 
 _MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
 _MAX_NODES = 5  # assignments carried on from point to point, of the most probable hypothesis
@@ -45,6 +46,18 @@ class _Node(NamedTuple):
     columns: tuple[int, ...]
     state: So3State
     log_likelihood: float
+
+
+def mixture_covariance(best: So3State, others: tuple[Hypothesis, ...]) -> Array:
+    """Return the covariance, (6, 6), of attitude and rate about the most probable state, with the other hypotheses.
+
+    It is the second moment of the mixture about that state, which the tracker reports.
+    """
+    covariance = best.covariance.copy()
+    for state, log_probability in others:
+        off = np.append(rotation_between(best.attitude, state.attitude), state.rate - best.rate)
+        covariance += math.exp(log_probability) * (state.covariance - best.covariance + np.outer(off, off))
+    return covariance
 
 
 def update_hypotheses(

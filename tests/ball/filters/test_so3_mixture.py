@@ -81,6 +81,29 @@ def test_a_doubt_about_one_axis_ends_when_three_discs_are_seen(seed):
     assert np.linalg.norm(log(made[0].state.attitude @ true.T)) < 0.03
 
 
+def test_an_estimate_in_doubt_has_the_covariance_of_all_hypotheses():
+    """Drawn from the hypotheses, attitudes and rates scatter about the reported ones as its covariance says."""
+    tracker, state, discs, rng = known_ball(12, 1)
+    state = at_rest(tracker, state, discs, rng)
+    turned = replace(state.filter, attitude=exp(np.array([0.0, 0.0, 0.2])) @ state.filter.attitude)
+    state = state._replace(alternatives=(Hypothesis(turned, np.log(0.4)),))
+    none = photo(np.eye(3), rng, discs).take(np.zeros(0, dtype=np.intp))
+    done = advance(state, state.filter.stamp + DT, none, tracker)
+    others = done.state.alternatives
+    assert others
+    states = [done.state.filter, *(h.state for h in others)]
+    p = np.exp([h.log_probability for h in others])
+    drawn = []
+    for k in rng.choice(len(states), 20000, p=np.append(1.0 - p.sum(), p)):
+        error = rng.multivariate_normal(np.zeros(6), states[k].covariance)
+        attitude = exp(error[:3]) @ states[k].attitude
+        drawn.append(np.append(log(attitude @ states[0].attitude.T), states[k].rate + error[3:] - states[0].rate))
+    scatter, rows = np.mean([np.outer(d, d) for d in drawn], axis=0), np.r_[:3, 6:9]
+    covariance = done.estimate.covariance[np.ix_(rows, rows)]
+    sigma = np.sqrt(covariance.diagonal())
+    assert np.abs((scatter - covariance) / np.outer(sigma, sigma)).max() < 0.05
+
+
 def test_a_certain_frame_keeps_one_hypothesis():
     tracker, state, discs, rng = known_ball(26, 1)
     for k in range(30):
