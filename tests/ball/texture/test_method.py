@@ -240,9 +240,13 @@ class Wood:
 
 
 @pytest.mark.slow
-def test_wood_that_hides_an_axis_here_and_there_is_not_followed_wrongly():
-    """Frames of an unknown attitude taught the picture, which then seemed to show it: 12° off at 0.3° stated."""
-    made_of = {"motion": "play", "noise": 3.0, "size": (480, 360), "seed": 7}
+@pytest.mark.parametrize("seed", [1, 4])
+def test_wood_that_hides_an_axis_here_and_there_is_not_followed_wrongly(seed):
+    """Frames of an unknown attitude taught the picture, which then seemed to show it: 12° off at 0.3° stated.
+
+    The map began again then, with 25 and 40 confirmed frames in place of 93 and more.
+    """
+    made_of = {"motion": "play", "noise": 3.0, "size": (480, 360), "seed": seed}
     simulation = prepare(SimulationOptions(pattern="none", seconds=5.0, **made_of))
     simulation = replace(simulation, scene=replace(simulation.scene, pattern=Wood(1)))
     made = list(simulate(simulation))
