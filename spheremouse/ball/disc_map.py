@@ -103,6 +103,10 @@ class DiscMap:
         better = variances(self)[j] < 0.25 * variances(saved)[i]
         return len(i) < len(saved) or len(j) < len(self) or bool(np.any(better))
 
+    def with_centre(self, place: Array, covariance: Array) -> "DiscMap":
+        """Return the map with the centre at `place`, (3,) m in ball from the pivot, and its covariance, (3, 3) m²."""
+        return replace(self, eccentricity=place, eccentricity_sigma=float(np.linalg.eigvalsh(covariance)[-1]) ** 0.5)
+
     def turned(self, rotation: Array) -> "DiscMap":
         """Return the map with its vectors d replaced by rotation @ d, and the covariance in the tangent bases there.
 

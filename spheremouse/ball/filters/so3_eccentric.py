@@ -16,7 +16,7 @@ from spheremouse.ball.filters.so3_state import ECCENTRICITY, RIG, So3State, inje
 from spheremouse.geometry.rotation import Array
 
 ROUND_SIGMA = 1e-5  # radii, negligible standard deviation along each axis
-_ECCENTRIC_SIGMA = 2e-3  # radii, standard deviation for an eccentric ball: a millimetre on a ball of a metre
+ECCENTRIC_SIGMA = 2e-3  # radii, standard deviation for an eccentric ball: a millimetre on a ball of a metre
 _MIN_LOG_ODDS = 3.0  # nats, odds of 20 to 1 for an eccentric ball
 _MAX_SIGMAS = 6.0  # of that standard deviation: a larger estimate has another cause
 _ROUND_SIGMAS = 10.0  # of the negligible one: the frames show a larger estimate of a round ball to be eccentric before
@@ -45,7 +45,7 @@ def as_eccentric(state: So3State, radius: float) -> So3State | None:
 
     A ball that moves in its bearings is none. What a correction holds (`So3State.holds_rig`) keeps its value.
     """
-    P, prior, sigma = state.joint[ECCENTRICITY, ECCENTRICITY], ROUND_SIGMA * radius, _ECCENTRIC_SIGMA * radius
+    P, prior, sigma = state.joint[ECCENTRICITY, ECCENTRICITY], ROUND_SIGMA * radius, ECCENTRIC_SIGMA * radius
     is_eccentric = np.trace(P) > 4.0 * prior**2 or np.linalg.norm(state.eccentricity) > _ROUND_SIGMAS * prior
     if is_eccentric or state.centre_noise > 0.0:
         return None

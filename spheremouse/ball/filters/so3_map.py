@@ -83,8 +83,7 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
     found = DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
     if not state.is_off_centre:
         return found
-    sigma = float(np.linalg.eigvalsh(state.joint[ECCENTRICITY, ECCENTRICITY])[-1]) ** 0.5
-    return replace(found, eccentricity=state.eccentricity, eccentricity_sigma=sigma)
+    return found.with_centre(state.eccentricity, state.joint[ECCENTRICITY, ECCENTRICITY])
 
 
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:

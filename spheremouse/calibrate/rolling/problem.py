@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from spheremouse.ball.filters.so3_eccentric import ECCENTRIC_SIGMA
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
 from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
 RATES = 0.005  # relative error of rates from differences of attitudes, when a hand pushes
 GLOBAL, READOUT, ECCENTRICITY = 7, 3, slice(4, 7)  # unknowns before the discs: direction 2, log ratio, and these
-_ECCENTRIC_SIGMA = 2e-3  # radii, expected along each axis: a millimetre on a ball of a metre
 _ECCENTRIC_CHI2 = 21.1  # with 3 degrees of freedom: one centred ball in ten thousand exceeds it
 _MIN_READOUT_SIGMA = 1e-7  # s, for a readout that is known exactly
 
@@ -221,9 +221,9 @@ def _observations(at: Rolling, equations: Equations, readout: tuple[float, float
     J, free = equations.jacobian, _free(at)
     weight = np.sqrt(np.median(np.asarray(J.power(2).sum(axis=0)).ravel()[GLOBAL : len(free)]))
     sigma = max(readout[1], _MIN_READOUT_SIGMA)
-    expected = np.eye(4, len(free), READOUT) / np.array([[sigma], *[[_ECCENTRIC_SIGMA]] * 3])
+    expected = np.eye(4, len(free), READOUT) / np.array([[sigma], *[[ECCENTRIC_SIGMA]] * 3])
     rows = sparse.hstack([np.vstack([expected, weight * free.T]), sparse.csr_array((7, 3 * len(at.attitude)))])
-    off = [(at.readout - readout[0]) / sigma, *at.eccentricity / _ECCENTRIC_SIGMA]
+    off = [(at.readout - readout[0]) / sigma, *at.eccentricity / ECCENTRIC_SIGMA]
     residual = np.concatenate([-equations.residual.ravel(), off, np.zeros(3)])
     return residual if at.ratio > 1.0 else np.nan * residual, sparse.csr_array(sparse.vstack([J, rows]))
 

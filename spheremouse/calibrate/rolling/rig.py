@@ -188,8 +188,7 @@ def _map(rolled: RollingAdjustment, radius: float) -> DiscMap:
     found = DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen)
     if not rolled.is_eccentric:
         return found
-    sigma = radius * float(np.linalg.eigvalsh(rolled.eccentricity_covariance)[-1]) ** 0.5
-    return replace(found, eccentricity=radius * rolled.rolling.eccentricity, eccentricity_sigma=sigma)
+    return found.with_centre(radius * rolled.rolling.eccentricity, radius**2 * rolled.eccentricity_covariance)
 
 
 class Placed(NamedTuple):

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from so3_world import DT, FILTER, RADIUS, SIGMA, points_at, seen
 
-from spheremouse.ball.filters.so3_eccentric import _ECCENTRIC_SIGMA, as_eccentric
+from spheremouse.ball.filters.so3_eccentric import ECCENTRIC_SIGMA, as_eccentric
 from spheremouse.ball.filters.so3_state import ECCENTRICITY, RIG
 from spheremouse.geometry.rotation import exp, log
 
@@ -53,7 +53,7 @@ def attitude_error(state, R):
 def eccentric_from_the_start():
     state = FILTER.initial(0.0, np.eye(3))
     joint = state.joint.copy()
-    joint[ECCENTRICITY, ECCENTRICITY] = (_ECCENTRIC_SIGMA * RADIUS) ** 2 * np.eye(3)
+    joint[ECCENTRICITY, ECCENTRICITY] = (ECCENTRIC_SIGMA * RADIUS) ** 2 * np.eye(3)
     return replace(state, joint=joint)
 
 
