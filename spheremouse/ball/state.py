@@ -27,6 +27,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Estimate, Event, Frame, Status
 
 _MOVED_FRAMES = 2  # in a row: one may show a false edge
+_SAMPLED_ROWS = 8
 _NO_TRACK = np.zeros(0, dtype=np.intp)
 RECENT_S = 0.15  # s, for which a camera's last frame counts beside those of another: five frames at 30 Hz
 SURE = 10  # sightings from which a disc is worth keeping
@@ -158,6 +159,19 @@ class OutlineCheck(NamedTuple):
         return OutlineCheck(begun=True, first=first, attitude=attitude, trust=trust, size_sigma=size_sigma)
 
 
+class LastPicture(NamedTuple):
+    """What tells a new picture of a camera from its last one, given again."""
+
+    rows: bytes = b""  # some of its rows: noise makes them differ in two exposures
+    repeats: int = 0  # frames in a row that showed it again
+
+    @classmethod
+    def of(cls, image: NDArray[np.uint8]) -> "LastPicture":
+        """Return that of a frame's image."""
+        step = max(1, len(image) // _SAMPLED_ROWS)
+        return cls(image[step // 2 :: step].tobytes())
+
+
 class Tracking(NamedTuple):
     """The ball has turned, so its discs differ from look-alikes."""
 
@@ -186,6 +200,7 @@ class CameraState(NamedTuple):
 
     camera: int
     shown_at: float
+    picture: LastPicture
     confirmed: bool
     detections: Detections
     points: SpherePoints
@@ -240,6 +255,7 @@ class TrackState(NamedTuple, Generic[F]):
     frames: int = 0  # since the tracker began
     camera: int = 0  # number of the camera that showed the last frame
     shown_at: float = -np.inf  # s, stamp of the last frame of that camera
+    picture: LastPicture = LastPicture()
     others: tuple[CameraState, ...] = ()  # in the order of `filter.others`
 
     @property

@@ -384,6 +384,23 @@ def test_lengths_in_another_unit_change_the_counts_alone(name):
     assert np.abs(films[1][0]).max() > 200
 
 
+def test_a_picture_that_the_camera_gives_again_is_no_measurement():
+    """Every fifth picture is the last one. Taken as new, they make errors of up to 2.6 degrees and 170 degrees/s."""
+    made = prepare(SimulationOptions(motion="play", seconds=5.0, noise=3.0, seed=1))
+    tracker = build(made.scene.rig(), made.scene.pose, SO3)
+    state, image, seen, rates = begin(tracker, 0.0), None, [], []
+    for shown in simulate(made):
+        again = shown.frame.sequence % 5 == 4
+        image = image if again else shown.frame.image
+        state, known, _ = step(state, replace(shown.frame, image=image), tracker)
+        assert known.status is Status.TRACKING
+        assert not (again and known.confirmed and np.linalg.norm(shown.rate) > 0.3)
+        seen.append(shown.attitude.T @ known.rotation)  # of one attitude of the ball's axes, if all are right
+        rates.append(known.rate[:3] - shown.rate)
+    assert np.degrees(max(np.linalg.norm(log(R @ seen[0].T)) for R in seen)) < 0.3
+    assert np.degrees(np.linalg.norm(rates[5:], axis=1).max()) < 10.0
+
+
 def test_frames_of_another_size_are_refused_in_one_line():
     tracker = build(RIG, POSE, SO3)
     frame = Frame(np.zeros((720, 1280, 3), np.uint8), 0.0, 7)
