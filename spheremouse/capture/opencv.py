@@ -1,7 +1,7 @@
 """`opencv:INDEX[,width=W,height=H,fps=F]`: a live camera through OpenCV, on any operating system.
 
-A stamp is the time of the fetch by time.monotonic(), not mid-exposure. It is late by half the exposure, the readout and
-the transfer, typically 10 to 40 ms, and varies with the load of the computer.
+A stamp is the time of the fetch by time.monotonic(), made steady, not mid-exposure. It is late by half the exposure, the
+readout and the transfer, typically 10 to 40 ms.
 """
 
 import contextlib
@@ -16,12 +16,14 @@ import numpy as np
 
 from spheremouse.capture import Stream
 from spheremouse.capture.nodes import nodes, probe_node
+from spheremouse.capture.steady import SteadyStamps
 from spheremouse.errors import SourceError
 from spheremouse.files.pictures import open_capture
 from spheremouse.files.registry import options
 from spheremouse.finding import Finding
 from spheremouse.tracker import Frame
 
+_USUAL_FPS = 30.0  # frames/s, if the camera names none
 _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}
 
 
@@ -44,7 +46,7 @@ def open(argument: str, realtime: bool) -> Stream:  # a camera is always real ti
             raise SourceError(f"opencv:{index}: the camera gives {given} instead; ask for a size it has")
     rate = capture.get(cv2.CAP_PROP_FPS)
     fps = rate if math.isfinite(rate) and rate > 0 else None
-    return Stream(read_frames(capture, index), live=True, fps=fps, close=capture.release)
+    return Stream(read_frames(capture, index, 1.0 / (fps or _USUAL_FPS)), live=True, fps=fps, close=capture.release)
 
 
 def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
@@ -60,9 +62,9 @@ def probe(argument: str) -> list[Finding]:
     return probe_node(Path(f"/dev/video{int(index)}"), nodes()) if sys.platform.startswith("linux") else []
 
 
-def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
-    """Yield frames. Raises SourceError when the camera delivers no more."""
-    sequence = 0
+def read_frames(capture: cv2.VideoCapture, index: str, interval: float) -> Iterator[Frame]:
+    """Yield frames of a nominal interval, s. Raises SourceError when the camera delivers no more."""
+    sequence, steady = 0, SteadyStamps(interval)
     while True:
         image, stamp = None, 0.0
         with contextlib.suppress(cv2.error):
@@ -74,5 +76,5 @@ def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
                 f"opencv:{index}: the camera delivers no frame after {sequence}; is it plugged in, "
                 "and does another program use it?"
             )
-        yield Frame(np.asarray(image, dtype=np.uint8), stamp, sequence)
+        yield Frame(np.asarray(image, dtype=np.uint8), steady.next(stamp, time.monotonic()), sequence)
         sequence += 1

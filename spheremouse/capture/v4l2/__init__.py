@@ -22,6 +22,7 @@ from spheremouse.capture import Payload, Stream
 from spheremouse.capture.nodes import nodes, persistent_name, probe_node
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
+from spheremouse.capture.steady import SteadyStamps
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
 from spheremouse.files.config import override
@@ -96,6 +97,7 @@ class V4L2Camera:
         self._exposure = controls.exposure()
         interval = 1.0 / mode.fps if mode.fps else 1.0 / 30.0
         begin = Timing(Moment.END_OF_FRAME, interval, self._exposure, settings.readout_s or 0.0, settings.stamp_shift_s)
+        self._steady = SteadyStamps(interval)
         self._timings = {moment: replace(begin, moment=moment) for moment in Moment}
         self._flags: int | None = None  # of the newest frame
         self._words = words
@@ -130,10 +132,12 @@ class V4L2Camera:
     def _raw_frame(self, device: "Device", buffer: Any, arrival: Arrival) -> V4L2Frame:
         raw = buffer.timestamp.secs + 1e-6 * buffer.timestamp.usecs
         self._flags = flags = buffer.flags
-        self._stamps, stamp, note = correct_stamp(self._stamps, raw, arrival, self._timings[self._moment(flags)])
+        self._stamps, corrected, note = correct_stamp(self._stamps, raw, arrival, self._timings[self._moment(flags)])
         if note:
             self.notes = (*self.notes, note)
+        before = self._count.number
         self._count, sequence = unwrap_count(self._count, buffer.sequence)
+        stamp = self._steady.next(corrected, arrival.clock, sequence - before)
         payload = device.buffers[buffer.index][: buffer.bytesused]
         frame = V4L2Frame(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
         with self._lock:
