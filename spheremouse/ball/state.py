@@ -160,9 +160,9 @@ class OutlineCheck(NamedTuple):
 
 
 class LastPicture(NamedTuple):
-    """What tells a new picture of a camera from its last one, given again."""
+    """Some of the last picture of a camera, to notice that it comes again."""
 
-    rows: bytes = b""  # some of its rows: noise makes them differ in two exposures
+    rows: bytes = b""  # noise makes them differ in two exposures
     repeats: int = 0  # frames in a row that showed it again
 
     @classmethod

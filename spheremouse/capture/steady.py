@@ -52,7 +52,7 @@ def steady_stamp(last: Rhythm, raw: float, n: int = 1) -> Rhythm:
     """Return the estimate after a frame with the stamp `raw`, s, the n-th after the last one by the driver's count.
 
     A frame that comes too late gets its expected time. If the next one is late, too, or if a frame comes too early, the
-    camera has another interval, and the estimate begins anew.
+    camera has another interval, and a new estimate begins.
     """
     if not -math.inf < last.raw < raw:
         return _begin(last, raw, last.interval, _UNKNOWN_SHARE * last.interval)
