@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from spheremouse.capture import Payload, Stream
 from spheremouse.capture.nodes import nodes, persistent_name, probe_node
 from spheremouse.capture.settings import CameraSettings
-from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
 from spheremouse.capture.steady import SteadyStamps
+from spheremouse.capture.v4l2.pixels import Layout, bgr, luma, payload_of
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, correct_stamp, unwrap_count
 from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
 from spheremouse.files.config import override
