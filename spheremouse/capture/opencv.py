@@ -1,7 +1,7 @@
 """`opencv:INDEX[,width=W,height=H,fps=F]`: a live camera through OpenCV, on any operating system.
 
-A stamp is the time of the fetch by time.monotonic(), made steady, not mid-exposure. It is late by half the exposure, the
-readout and the transfer, typically 10 to 40 ms.
+A stamp is the time of the fetch by time.monotonic(), made steady. It is later than mid-exposure, by half the exposure,
+the readout and the transfer, typically 10 to 40 ms.
 """
 
 import contextlib
