@@ -85,7 +85,7 @@ class BufferedFrame(NamedTuple):
 
 
 class Colours(NamedTuple):
-    """Colour projection in which the discs are darker than the ball."""
+    """Colour projection in which the discs are darker than the ball, and the lens's blur."""
 
     projection: Projection = GREY  # in which they are darker
     fixed: bool = False  # by the settings
@@ -93,6 +93,7 @@ class Colours(NamedTuple):
     wait: float = 0.5  # s until they are tried again, unless the ball has turned
     tried_now: tuple[tuple[Projection, float], ...] = ()  # of an unfinished trial, and their information
     refined: bool = False  # from the pixels of known discs
+    lens_blur: float | None = None  # px, standard deviation; None: no picture has shown it yet
 
 
 class Recognising(NamedTuple):

@@ -1,4 +1,4 @@
-"""Diagnosis of a picture: its sharpness, and the reason for detecting no disc or pattern on a ball.
+"""Diagnosis of a picture: the reason for detecting no disc or pattern on a ball.
 
 The checks follow the order in which a person corrects the faults: light, focus, then spots unlike the rig's discs.
 The search for spots uses grey closing and opening, as the detector does. It also accepts other sizes, either polarity
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask, largest_disc
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.rig import Rig
@@ -28,14 +29,6 @@ _MIN_ROUNDNESS = 0.8  # least area of a spot over that of the ellipse in its box
 _MAX_BLUR = 2.4  # px: in such blur the detector finds few discs of any size; `blur_of` saturates at 3 to 4
 _MAX_RELATIVE_BLUR = 0.25  # of a disc's diameter: so wide a Gaussian removes a seventh of the contrast, and the rim
 _MIN_SPOTS = 3  # spots: fewer are no evidence for the whole ball
-
-# of `blur_of`
-_ADDED_BLUR = 1.5  # px, standard deviation of the blur that is added
-_NOISE_BLUR = 1.0  # px, of a blur before all else, against noise; taken off again
-_DIFFERENCE_VARIANCE = 1.0 / 3.0  # px², of a central difference, which is a blur, too
-_STEEPEST_SHARE = 1e-3  # part of the picture, whose slope is the measure of others
-_MIN_RELATIVE_SLOPE = 0.5  # of that slope, from which on an edge counts
-_MIN_SLOPE_OVER_NOISE = 6.0  # times the median slope, which is that of noise
 
 
 class Cause(StrEnum):
@@ -213,31 +206,3 @@ def _spot(contour: Image, contrast: Image, on: Image, disc: float) -> _Spot | No
     if not inside or area < _MIN_ROUNDNESS * 0.25 * np.pi * a * b or max(a, b) > _MAX_SPOT_SIZE * disc:
         return None
     return _Spot(max(a, b) / disc, strength)
-
-
-def blur_of(image: Image) -> float:
-    """Standard deviation, px, of the blur of the steepest edges in an image (h, w, 3) BGR or (h, w); nan without any.
-
-    A lens in focus gives 0.3 to 0.7. Rings of 4 px are lost in a blur of 2. An edge that is blurred once more loses the
-    more of its slope, the sharper it was (Zhuo, Sim 2011, "Defocus map estimation from a single image", eq. 4-6).
-    """
-    grey = (image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)).astype(np.float32)
-    calm = cv2.GaussianBlur(grey, (0, 0), _NOISE_BLUR)
-    slope, slope_again = _slope(calm), _slope(cv2.GaussianBlur(calm, (0, 0), _ADDED_BLUR))
-    least = max(
-        _MIN_RELATIVE_SLOPE * float(np.quantile(slope, 1.0 - _STEEPEST_SHARE)),
-        _MIN_SLOPE_OVER_NOISE * float(np.median(slope)),
-        1.0,
-    )
-    steep = (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8))) & (slope >= least)
-    if not steep.any():
-        return float("nan")
-    ratio = float(np.median(slope[steep] / np.maximum(slope_again[steep], 1e-6)))
-    whole = _ADDED_BLUR**2 / max(ratio**2 - 1.0, 1e-6)
-    return float(np.sqrt(max(whole - _NOISE_BLUR**2 - _DIFFERENCE_VARIANCE, 0.0)))
-
-
-def _slope(grey: Image) -> Image:
-    """Grey values a pixel, by central differences."""
-    x, y = (cv2.Sobel(grey, cv2.CV_32F, *way, ksize=1, scale=0.5) for way in ((1, 0), (0, 1)))
-    return cv2.magnitude(x, y)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, clear_mask, largest_disc
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
@@ -41,7 +42,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 from spheremouse.settings import param
 
-_LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
+LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
+_MAX_LENS_BLUR = 3.0  # px: `blur_of` saturates beyond
 # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
 _MIN_COARSE_DISC_PX = 4.0
 _NOISE_EVERY = 16  # frames: the light changes slowly
@@ -135,6 +137,17 @@ class DiscDetector:
         if projection == self.model.fit.projection:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
+
+    def with_lens_blur(self, sigma: float) -> "DiscDetector":
+        """Return the detector for a lens that blurs with a standard deviation, px."""
+        blur = _rim_blur(self.settings, sigma)
+        if blur == self.model.fit.blur:
+            return self
+        return replace(self, model=self.model._replace(fit=self.model.fit._replace(blur=blur)))
+
+    def lens_blur(self, image: Image) -> float:
+        """Return the standard deviation, px, of the lens's blur in an image, by its steepest edges near the ball."""
+        return float(np.clip(np.nan_to_num(blur_of(image[self.window])), LENS_BLUR, _MAX_LENS_BLUR))
 
     def detect(self, image: Image, learnt: SearchState = _NOTHING_LEARNT) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included.
@@ -272,8 +285,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
     fit = FitSettings(
         settings.projection or GREY,
         settings.smoothing,
-        # rims are blurred by pixels, lens and our own smoothing
-        float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2)),
+        _rim_blur(settings, LENS_BLUR),
         settings.contrast,
         settings.size_tolerance,
         settings.rim,
@@ -302,6 +314,11 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
     thin = _thin(rig, pose, diameter, f)
     samples = lattice(mask, thin, diameter, f)
     return DiscDetector(settings, rig, pose, window, coarse, samples, samples.at(thin), model)
+
+
+def _rim_blur(settings: DiscSettings, lens: float) -> float:
+    """Return the standard deviation, px, of a rim's blur by pixels, lens and our own smoothing."""
+    return float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + lens**2))
 
 
 def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.bool_]:

@@ -14,12 +14,13 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double SURROUND = 3.0;       // px of background around a disc: enough for its slope, too few for more
+constexpr double SURROUND = 3.2;       // of the blur, of background around a disc: enough for its slope, too few for more
 constexpr double UNEVEN = 0.02;        // of the contrast: unevenness of print and ball that a good fit leaves
 constexpr double GLOSS = 0.3;          // of the contrast, the most that gloss takes of it, from a centre to its rim
 constexpr double SLOPE = 0.02;         // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
 constexpr double SIZE = 0.02;          // discs cut from one sheet differ by this part of their size
-constexpr double RIM_OFFSET = 0.35;    // px by which lens blur and gloss may shift a rim: much of a sliver's size
+constexpr double IN_FOCUS = 0.94;      // px, blur of rims for which the next four hold; others grow with the blur
+constexpr double RIM_OFFSET = 0.35;    // px by which blur and gloss may shift a rim: much of a sliver's size
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
 constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur shortens it, the same
@@ -50,6 +51,7 @@ struct DiscFit {
     Expected disc;
     Ellipse rest;
     double minor, major;  // px, semi-axes
+    double defocus;       // blur of rims over that of a picture in focus
     Pixels pixels;
     Unknowns x = Unknowns::Zero();
     double scale;        // grey values of an ordinary residual
@@ -61,7 +63,10 @@ struct DiscFit {
     bool is_smeared() const { return disc.is_smeared(); }
 
     /// Return the part of the size by which blur and gloss may shift the rim.
-    double rim_sigma() const { return RIM_OFFSET / 3.0 / minor; }
+    double rim_sigma() const { return RIM_OFFSET / 3.0 * defocus / minor; }
+
+    /// Return the part of the size by which blur shortens the image of a sliver, over SLIVER_SIZE.
+    double thinness() const { return std::pow(defocus / minor, 2); }
 
     double size_sigma() const { return SIZE + rim_sigma(); }
 
@@ -135,17 +140,18 @@ double gauss_newton_step(DiscFit& fit, const Expectation& expected, double dampi
 }
 
 /// Collect the pixels on the ball within an ellipse whose axes are longer by SURROUND and half of the way.
-bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
+bool collect_pixels(DiscFit& fit, const Photo& photo, const FitSettings& settings) {
     const Shape& S = fit.disc.shape;
     const double u0 = fit.disc.place(0), v0 = fit.disc.place(1);
     const double det = S.determinant(), mean = 0.5 * S.trace(), half = std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1));
     if (!(det > 1e-3 && std::isfinite(u0 + v0) && fit.disc.path.allFinite())) return false;
     fit.minor = std::sqrt(std::max(mean - half, 1e-6));
     fit.major = std::sqrt(std::max(mean + half, 1e-6));
+    fit.defocus = settings.blur / IN_FOCUS;
     fit.rest = {float(S(1, 1) / det), float(-S(0, 1) / det), float(S(0, 0) / det), 0.0f, 0.0f, 1.0f};
     // of the same axes, so a combination of S and I
     const double lo = fit.minor * fit.minor, hi = fit.major * fit.major;
-    const double margin = SURROUND + 0.5 * fit.disc.path.head<2>().norm();
+    const double margin = SURROUND * settings.blur + 0.5 * fit.disc.path.head<2>().norm();
     const double low = std::pow(fit.minor + margin, 2), high = std::pow(fit.major + margin, 2);
     const double slope = hi - lo > 1e-9 * hi ? (high - low) / (hi - lo) : 1.0;
     const Shape G = slope * S + (low - slope * lo) * Shape::Identity();
@@ -156,7 +162,7 @@ bool collect_pixels(DiscFit& fit, const Photo& photo, double smoothing) {
         return false;
     const int left = int(std::rint(u0) - half_w), top = int(std::rint(v0) - half_h), w = 2 * int(half_w) + 1,
               h = 2 * int(half_h) + 1;
-    const float* patch = cut_patch(photo, smoothing, top, left, h, w);
+    const float* patch = cut_patch(photo, settings.smoothing, top, left, h, w);
     Pixels& pixels = fit.pixels;
     pixels.reserve(size_t(h * w));
     size_t count = 0;
@@ -200,7 +206,7 @@ bool estimate_light(DiscFit& fit, const Photo& photo, const FitSettings& setting
 
 /// Begin a fit at the expected place; return false if there is no disc.
 bool begin(DiscFit& fit, const Photo& photo, const FitSettings& settings, double contrast) {
-    if (!collect_pixels(fit, photo, settings.smoothing)) return false;
+    if (!collect_pixels(fit, photo, settings)) return false;
     fit.x(8) = 1.0;
     fit.expect(float(settings.blur));
     return leave_out_cover(fit) && estimate_light(fit, photo, settings, contrast);
@@ -216,7 +222,7 @@ bool fit_size(DiscFit& fit, const Photo& photo, const FitSettings& settings, dou
         if (round == 0 && (!is_deep(fit.x, 0.5 * contrast, photo.noise) || std::abs(fit.x(8) - 1.0) > 2.0 * tolerance))
             return false;
     }
-    return std::abs(fit.x(8) - 1.0) < std::max(tolerance, RIM_OFFSET / fit.minor) &&
+    return std::abs(fit.x(8) - 1.0) < std::max(tolerance, 3.0 * fit.rim_sigma()) &&
            is_deep(fit.x, contrast, photo.noise);
 }
 
@@ -294,7 +300,7 @@ void set_covariance(Fit& result, const DiscFit& fit, const Quality& q, double no
     Matrix<3> C;  // of centre and size; they are the last unknowns, so the others do not matter
     for (int j = 0; j < 3; j++) C.row(j) = solve<3>(fit.L.bottomRightCorner<3, 3>(), Vector<3>::Unit(j));
     // where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-    const double thin = 1.0 / (fit.minor * fit.minor), sliver = SLIVER_BIAS * thin;
+    const double thin = fit.thinness(), sliver = SLIVER_BIAS * fit.defocus * thin;
     const double cover = COVER_BIAS / std::pow(fit.minor, 3);
     // what shifts a rim changes the size of a whole disc, and moves the centre of one with a rim on one side only,
     // alike in each view
@@ -347,7 +353,7 @@ Fit fit_centre(DiscFit& fit, const Photo& photo, const FitSettings& settings, do
     }
     const Quality q = quality(fit.pixels, x);
     // the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
-    const double rim = fit.minor < SLIVER ? std::min(0.45, settings.rim) : settings.rim;
+    const double rim = fit.minor < SLIVER * fit.defocus ? std::min(0.45, settings.rim) : settings.rim;
     // what a cover hides is left out, so nothing excuses a misfit of the rest: the less shows, the better it must fit
     const double least = 1.0 - (1.0 - rim) * fit.shown;
     const double area = M_PI * std::sqrt(fit.disc.shape.determinant()) * size * size;

@@ -7,7 +7,7 @@ same, unless the ball is lost for 10 s.
 
 from typing import Any
 
-from spheremouse.ball.detect.discs import DiscDetector, best_projection, projections_to_try
+from spheremouse.ball.detect.discs import LENS_BLUR, DiscDetector, best_projection, projections_to_try
 from spheremouse.ball.detect.projection import colour_contrast
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
@@ -40,10 +40,14 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 
     If another projection shows the discs better, the search and an unfinished phase start again with it.
     """
-    before, image = state.colours, frame.image
-    if not is_trial_due(state, frame.stamp):
+    image, due = frame.image, is_trial_due(state, frame.stamp)
+    if tracker.detector.uses_colours and (state.colours.lens_blur is None or (due and not state.colours.tried_now)):
+        blur = tracker.detector_data.lens_blur(image)
+        state = state._replace(colours=state.colours._replace(lens_blur=blur))
+    before = state.colours
+    if not due:
         return state._replace(colours=before._replace(tried_now=())) if before.tried_now else state
-    detector: DiscDetector = tracker.detector_data  # the projection is fixed for one that uses no colours
+    detector = blurred_detector(state, tracker)  # the projection is fixed for one that uses no colours
     known = dict(before.tried_now)
     rest = (p for p in projections_to_try(image, before.projection) if p not in known)
     if state.status is Status.TRACKING and (other := next(rest, None)) is not None:  # all would take many intervals
@@ -55,12 +59,18 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if projection == before.projection:
         wait = min(2.0 * before.wait, _MAX_WAIT_S) if information > _MIN_INFORMATION else _FIRST_WAIT_S
         return state._replace(colours=before._replace(tried=frame.stamp, wait=wait, tried_now=()))
-    colours = Colours(projection, tried=frame.stamp, wait=_FIRST_WAIT_S)
+    colours = Colours(projection, tried=frame.stamp, wait=_FIRST_WAIT_S, lens_blur=before.lens_blur)
     state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
         return state
     start = tracker.filter.initial(frame.stamp, state.filter.attitude).with_reference_of(state.filter)
     return state._replace(filter=start, alternatives=())
+
+
+def blurred_detector(state: TrackState, tracker: Tracker) -> DiscDetector:
+    """Return the detector of discs for the blur of the camera's lens."""
+    blur = state.colours.lens_blur
+    return tracker.detector_data.with_lens_blur(LENS_BLUR if blur is None else blur)
 
 
 def _in_other_colours(phase: Phase) -> Phase:
@@ -87,7 +97,7 @@ def refine_projection(done: Step[TrackState], frame: Frame, tracker: Tracker) ->
     if not isinstance(state.phase, Tracking) or not state.confirmed:
         return done
     used: Any = state.points.index[state.filter.used]
-    detector: DiscDetector = tracker.detector_data
+    detector = blurred_detector(state, tracker)
     found, diameter = state.detections.take(used), detector.model.diameter
     contrast = colour_contrast(frame.image, detector.model.mask, found, diameter)
     if contrast is None:

@@ -18,6 +18,7 @@ from spheremouse.ball.detector import Words
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.phases.colours import blurred_detector
 from spheremouse.ball.phases.follow import SECURE
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -57,7 +58,7 @@ class Discs:
         self, state: TrackState, frame: Frame, tracker: Tracker, predicted: Any
     ) -> tuple[Detections, SearchState]:
         if not tracker.method.keeps_map:  # there is no place to look at
-            return tracker.detector_data.with_projection(state.colours.projection).detect(frame.image), state.search
+            return _detector(state, tracker).detect(frame.image), state.search
         return detect_discs(state, frame, tracker, predicted, tracker.filter.visible(predicted))
 
     def clear_points(self, points: int) -> int:
@@ -75,6 +76,11 @@ def unmasked_detector(rig: Rig, pose: Pose, settings: Settings) -> DiscDetector:
     return disc_detector(replace(settings.discs, masks=()), rig, pose)
 
 
+def _detector(state: TrackState, tracker: Tracker) -> DiscDetector:
+    """Return the detector for the colours and the blur of the camera."""
+    return blurred_detector(state, tracker).with_projection(state.colours.projection)
+
+
 def detect_discs(
     state: TrackState[So3State],
     frame: Frame,
@@ -88,7 +94,7 @@ def detect_discs(
     searches a part of the rest of the ball. Until the ball turns, or if the detector sees too few of the discs of the
     frame before, it searches all of the ball.
     """
-    detector: Any = tracker.detector_data.with_projection(state.colours.projection)
+    detector = _detector(state, tracker)
     tracking, before = state.status is Status.TRACKING, state.search
     if not (tracking and state.known_to_turn):  # bolts, or another ball
         before = before._replace(size=0.0, contrast=0.0)
@@ -97,7 +103,7 @@ def detect_discs(
     # Discs of the map, and candidates
     known = np.concatenate([predicted.discs[which], state.lookalikes.candidates.anchor_ball])
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    seen_enough = max(SECURE, (min(seen_before, len(state.filter.used)) + 1) // 2)
+    seen_enough = max(SECURE, (min(int(seen_before), len(state.filter.used)) + 1) // 2)
     least = seen_enough if state.known_to_turn else len(known) + 1
     motion = Motion(predicted.rate, tracker.rig.readout_s + predicted.readout, predicted.interval)
     found, search = detector.follow(

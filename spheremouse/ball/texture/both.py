@@ -48,6 +48,14 @@ class BothData(NamedTuple):
         """Model of the discs."""
         return self.discs.model
 
+    def with_lens_blur(self, sigma: float) -> DiscDetector:
+        """Return the detector of discs for a lens that blurs with a standard deviation, px."""
+        return self.discs.with_lens_blur(sigma)
+
+    def lens_blur(self, image: Image) -> float:
+        """Return the standard deviation, px, of the lens's blur in an image."""
+        return self.discs.lens_blur(image)
+
     def with_projection(self, projection: Projection) -> DiscDetector:
         """Return the detector of discs with another projection of colours."""
         return self.discs.with_projection(projection)

@@ -134,9 +134,8 @@ def _measured_discs(
     settings = replace(settings, polarity="dark", weights=())
     block, K, R = result.solution.block, result.ball[:3], float(result.ball[3])
     rig = ball_rig(block.camera, K, R, device.disc_radius)
-    seen = [
-        disc_detector(settings, rig, pose).detect(grey) for (grey, _), pose in zip(photos, block.poses, strict=True)
-    ]
+    detectors = (disc_detector(settings, rig, pose) for pose in block.poses)
+    seen = [d.with_lens_blur(d.lens_blur(grey)).detect(grey) for (grey, _), d in zip(photos, detectors, strict=True)]
     spots, covariance = _spots_of(seen), np.concatenate([d.covariance for d in seen])
     return spots, _numbered_points(spots, covariance, block, K, R, 0.5 * device.disc_radius)
 

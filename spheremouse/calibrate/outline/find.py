@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.calibrate.outline.fit import Outline, fit_outline, rays_of, residuals
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation

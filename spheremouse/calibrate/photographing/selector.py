@@ -10,8 +10,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.geometry.rotation import Array
 
 _MAX_MOTION = 1.0  # px between two frames; in the exposure it is a part of that

@@ -142,7 +142,13 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
 
 
 def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
-    """Return the sight with the projection that shows the discs best in most views, unless the settings fix it."""
+    """Return the sight for the lens's blur, and the projection that shows the discs best, unless the settings fix it.
+
+    Most views decide.
+    """
+    if views:
+        blur = float(np.median([seen.detector.lens_blur(v.image) for v in views]))
+        seen = replace(seen, detector=seen.detector.with_lens_blur(blur))
     if seen.detector.settings.projection is not None:
         return seen
     found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)

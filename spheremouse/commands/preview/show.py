@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.diagnosis import blur_of
 from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture import section

