@@ -164,13 +164,14 @@ class LastPicture(NamedTuple):
     """Some of the last picture of a camera, to notice that it comes again."""
 
     rows: bytes = b""  # noise makes them differ in two exposures
+    rate: Array = np.zeros(3)  # (3,) rad/s, w_obj, of the ball before it
     repeats: int = 0  # frames in a row that showed it again
 
     @classmethod
-    def of(cls, image: NDArray[np.uint8]) -> "LastPicture":
-        """Return that of a frame's image."""
+    def of(cls, image: NDArray[np.uint8], rate: Array) -> "LastPicture":
+        """Return that of a frame's image; `rate` is of the ball before it."""
         step = max(1, len(image) // _SAMPLED_ROWS)
-        return cls(image[step // 2 :: step].tobytes())
+        return cls(image[step // 2 :: step].tobytes(), rate)
 
 
 class Tracking(NamedTuple):

@@ -86,8 +86,8 @@ def step(
     check_size(frame, tracker.rig.camera)
     state = facing(state, frame.camera)
     tracker = current(state, tracker)
-    picture = LastPicture.of(frame.image)
-    if picture.rows == state.picture.rows and state.picture.repeats < _MAX_REPEATS and _turns(state):
+    picture = LastPicture.of(frame.image, state.filter.rate)
+    if picture.rows == state.picture.rows and state.picture.repeats < _MAX_REPEATS and _turns_steadily(state):
         return _predicted(state, frame.stamp, tracker)
     state = state._replace(picture=picture)
     if state.watch is None:
@@ -108,10 +108,12 @@ def step(
     return done
 
 
-def _turns(state: TrackState) -> bool:
-    """Return whether the ball is tracked and its rate is not zero."""
+def _turns_steadily(state: TrackState) -> bool:
+    """Return whether the ball is tracked, its rate is not zero, and the last picture has not changed that by half."""
     rate, covariance = state.filter.rate, state.filter.covariance[3:, 3:]
-    return state.status is Status.TRACKING and bool(rate @ np.linalg.solve(covariance, rate) > _TURNING)
+    if state.status is not Status.TRACKING or rate @ np.linalg.solve(covariance, rate) < _TURNING:
+        return False
+    return bool(np.linalg.norm(rate - state.picture.rate) < 0.5 * np.linalg.norm(rate))
 
 
 def _predicted(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:

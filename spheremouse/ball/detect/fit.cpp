@@ -14,12 +14,12 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr double SURROUND = 3.2;       // of the blur, of background around a disc: enough for its slope, too few for more
 constexpr double UNEVEN = 0.02;        // of the contrast: unevenness of print and ball that a good fit leaves
 constexpr double GLOSS = 0.3;          // of the contrast, the most that gloss takes of it, from a centre to its rim
 constexpr double SLOPE = 0.02;         // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
 constexpr double SIZE = 0.02;          // discs cut from one sheet differ by this part of their size
-constexpr double IN_FOCUS = 0.94;      // px, blur of rims for which the next four hold; others grow with the blur
+constexpr double IN_FOCUS = 0.94;      // px, blur of rims for which the next five hold; they grow with the blur
+constexpr double SURROUND = 3.0;       // px of background around a disc: enough for its slope, too few for more
 constexpr double RIM_OFFSET = 0.35;    // px by which blur and gloss may shift a rim: much of a sliver's size
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
@@ -143,15 +143,15 @@ double gauss_newton_step(DiscFit& fit, const Expectation& expected, double dampi
 bool collect_pixels(DiscFit& fit, const Photo& photo, const FitSettings& settings) {
     const Shape& S = fit.disc.shape;
     const double u0 = fit.disc.place(0), v0 = fit.disc.place(1);
+    fit.defocus = settings.blur / IN_FOCUS;
     const double det = S.determinant(), mean = 0.5 * S.trace(), half = std::hypot(0.5 * (S(0, 0) - S(1, 1)), S(0, 1));
     if (!(det > 1e-3 && std::isfinite(u0 + v0) && fit.disc.path.allFinite())) return false;
     fit.minor = std::sqrt(std::max(mean - half, 1e-6));
     fit.major = std::sqrt(std::max(mean + half, 1e-6));
-    fit.defocus = settings.blur / IN_FOCUS;
     fit.rest = {float(S(1, 1) / det), float(-S(0, 1) / det), float(S(0, 0) / det), 0.0f, 0.0f, 1.0f};
     // of the same axes, so a combination of S and I
     const double lo = fit.minor * fit.minor, hi = fit.major * fit.major;
-    const double margin = SURROUND * settings.blur + 0.5 * fit.disc.path.head<2>().norm();
+    const double margin = SURROUND * fit.defocus + 0.5 * fit.disc.path.head<2>().norm();
     const double low = std::pow(fit.minor + margin, 2), high = std::pow(fit.major + margin, 2);
     const double slope = hi - lo > 1e-9 * hi ? (high - low) / (hi - lo) : 1.0;
     const Shape G = slope * S + (low - slope * lo) * Shape::Identity();

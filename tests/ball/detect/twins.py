@@ -8,7 +8,7 @@ from spheremouse.ball.detect.projection import weights_of
 from spheremouse.geometry.matching import suppress
 from spheremouse.geometry.rotation import exp
 
-SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.2, 0.02, 0.3, 0.02, 0.2, 0.02
+SURROUND, UNEVEN, GLOSS, SLOPE, BESIDE, CLEAR = 3.0, 0.02, 0.3, 0.02, 0.2, 0.02
 IN_FOCUS, SIZE, RIM_OFFSET, SLIVER_BIAS, SLIVER_SIZE, COVER_BIAS, NEAR_COVER = 0.94, 0.02, 0.35, 0.15, 0.18, 1.5, 0.02
 MISFIT, SMEARED, LARGE = 16.0, 2.0, 3.0
 LIMIT, WIDE_LIMIT, FAR, STILL, MOST_ROUNDS, SMEARED_ROUNDS = 0.25, 0.5, 0.5, 0.01, 10, 5
@@ -86,7 +86,7 @@ class Fit:
         grey = cv2.sepFilter2D(grey, -1, *(2 * [kernel / kernel.sum()]), borderType=cv2.BORDER_REPLICATE)
         axes, V = np.linalg.eigh(shape)
         self.minor, self.major = np.sqrt(axes)
-        margin = SURROUND * settings.blur + 0.5 * np.hypot(*path[:2])
+        margin = SURROUND * settings.blur / IN_FOCUS + 0.5 * np.hypot(*path[:2])
         grown = V @ np.diag((np.sqrt(axes) + margin) ** 2) @ V.T
         offset = np.stack(np.meshgrid(*map(np.arange, image.shape[1::-1])), axis=-1) - place
         near = np.einsum("hwi,ij,hwj->hw", offset, np.linalg.inv(grown), offset) < 1.0
