@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball import outline
+from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MAX_COPIES, TargetDetections
 from spheremouse.ball.rig import Rig
@@ -33,6 +34,8 @@ _CROWDED = (
     f"the picture has more shapes like targets than the search examines ({MAX_COPIES} of a kind): cover or remove "
     "colourful objects, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
 )
+_BLURRED = "the picture is blurred, by {:.1f} px: focus the lens (camera.focus), and wipe it"
+_MAX_BLUR = 1.5  # px, standard deviation: rings of 4 px are lost in 2
 _STRANGE = "{} seen, which the rig does not have: correct its codes, or give the rig of this device"
 
 
@@ -74,7 +77,7 @@ class Resection:
 def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resection:
     """Return the camera pose from the targets in some views of a still scene; `image` is any of them.
 
-    Raises PoseError as `resect` does. The error names look-alikes, and targets that the rig does not have.
+    Raises PoseError as `resect` does. The error names look-alikes, targets that the rig does not have, and blur.
     """
     sightings = gather(views)
     try:
@@ -83,6 +86,7 @@ def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resectio
         strangers = sorted({s.code for s in sightings} - set(rig.targets.codes))
         more = [_STRANGE.format(", ".join(strangers))] if strangers else []
         more += [_CROWDED] if any(view.crowded for view in views) else []
+        more += [_BLURRED.format(blur)] if (blur := blur_of(image)) > _MAX_BLUR else []
         raise PoseError("; ".join((str(e), *more))) from None
 
 

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.ball.points import intersect
-from spheremouse.ball.pose import Sighting, describe, gather, predict_targets, resect
+from spheremouse.ball.pose import Sighting, describe, find_pose, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Ball, Rig, Targets, considered_covariance
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -287,6 +287,15 @@ def test_fewer_than_three_targets_name_the_missing(n):
     missing = message.split("missing: ")[1]
     assert all(code in missing for code in CODES[n:4])
     assert not any(code in missing for code in CODES[:n])
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(0.0, False), (2.0, True)])
+def test_a_blurred_picture_is_named_as_the_cause(sigma, expected):
+    picture = picture_of_ball("far")
+    picture = cv2.GaussianBlur(picture, (0, 0), sigma) if sigma else picture
+    with pytest.raises(PoseError) as e:
+        find_pose([], seen_from("far")[0], picture)
+    assert ("focus the lens" in str(e.value)) is expected
 
 
 @views
