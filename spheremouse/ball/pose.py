@@ -77,7 +77,8 @@ class Resection:
 def find_pose(views: list[TargetDetections], rig: Rig, image: Image) -> Resection:
     """Return the camera pose from the targets in some views of a still scene; `image` is any of them.
 
-    Raises PoseError as `resect` does. The error names look-alikes, targets that the rig does not have, and blur.
+    Raises PoseError as `resect` does. The error adds three causes: targets that the rig does not have, too many shapes
+    like targets, and blur.
     """
     sightings = gather(views)
     try:

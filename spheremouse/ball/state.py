@@ -93,7 +93,9 @@ class Colours(NamedTuple):
     wait: float = 0.5  # s until they are tried again, unless the ball has turned
     tried_now: tuple[tuple[Projection, float], ...] = ()  # of an unfinished trial, and their information
     refined: bool = False  # from the pixels of known discs
-    lens_blur: float | None = None  # px, standard deviation; None: no picture has shown it yet
+    lens_blur: float | None = None  # px, standard deviation; None: not measured yet
+    blur_due: float = -np.inf  # s, when it is measured again
+    blur_wait: float = 0.5  # s until then
 
 
 class Recognising(NamedTuple):
@@ -161,15 +163,15 @@ class OutlineCheck(NamedTuple):
 
 
 class LastPicture(NamedTuple):
-    """Some of the last picture of a camera, to notice that it comes again."""
+    """Rows of the last picture of a camera, to detect that it comes again."""
 
     rows: bytes = b""  # noise makes them differ in two exposures
-    rate: Array = np.zeros(3)  # (3,) rad/s, w_obj, of the ball before it
+    rate: Array = np.zeros(3)  # (3,) rad/s, w_obj, of the ball before it was processed
     repeats: int = 0  # frames in a row that showed it again
 
     @classmethod
     def of(cls, image: NDArray[np.uint8], rate: Array) -> "LastPicture":
-        """Return that of a frame's image; `rate` is of the ball before it."""
+        """Return that of a frame's image; `rate` is of the ball before it is processed."""
         step = max(1, len(image) // _SAMPLED_ROWS)
         return cls(image[step // 2 :: step].tobytes(), rate)
 

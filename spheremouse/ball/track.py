@@ -81,7 +81,7 @@ def step(
     in another thread, and use `with_pose`. `tracker` is that of the frame's camera (`cameras.with_camera`).
 
     A camera that has no new picture in time may give its last one again, with a new stamp. That would show that the
-    ball stands, so such a frame of a ball that turns is a prediction.
+    ball stands. If the ball turns steadily, at most two such frames in a row are predictions.
     """
     check_size(frame, tracker.rig.camera)
     state = facing(state, frame.camera)
@@ -109,7 +109,7 @@ def step(
 
 
 def _turns_steadily(state: TrackState) -> bool:
-    """Return whether the ball is tracked, its rate is not zero, and the last picture has not changed that by half."""
+    """Return whether the ball is tracked, and turns at a rate that has not changed by half since before the picture."""
     rate, covariance = state.filter.rate, state.filter.covariance[3:, 3:]
     if state.status is not Status.TRACKING or rate @ np.linalg.solve(covariance, rate) < _TURNING:
         return False
@@ -120,12 +120,8 @@ def _predicted(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackS
     """Process a frame that shows nothing new. The filter goes on from the frame before."""
     carried = tracker.filter.predict(state.filter, stamp)
     done = _step(state._replace(filter=carried, confirmed=False), stamp, ())
-    kept = state._replace(
-        picture=state.picture._replace(repeats=state.picture.repeats + 1),
-        frames=done.state.frames,
-        withheld=done.state.withheld,
-    )
-    return done._replace(state=kept)
+    picture = state.picture._replace(repeats=state.picture.repeats + 1)
+    return Step(state._replace(picture=picture, frames=done.state.frames), done.estimate)
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
@@ -146,6 +142,7 @@ def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> 
     Raises PoseError if the camera cannot see the ball from there.
     """
     tracker = current(state, tracker)
+    state = state._replace(picture=LastPicture.of(frame.image, state.filter.rate))
     return _with_new_pose(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
 
 
@@ -177,7 +174,7 @@ def _stages(
 ) -> Step[TrackState]:
     """Process one frame of an unmoved camera."""
     before, events = state.colours, ()
-    state = colours.with_trial(state, frame, tracker)
+    state = colours.with_trial(colours.with_blur(state, frame, tracker), frame, tracker)
     uses_outline, begun = tracker.detector.is_exact and tracker.method.keeps_map, state.outline.begun
     if uses_outline and not begun:
         state, events = with_first_outline(state, frame.image, tracker)

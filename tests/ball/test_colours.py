@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.discs import LENS_BLUR, DiscSettings
 from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, normalise
 from spheremouse.ball.events import DiscColours
 from spheremouse.ball.phases.method import SO3
@@ -158,3 +158,21 @@ def test_a_camera_that_was_moved_sees_the_same_colours():
     made = frames[-1].frame
     after = with_pose(states[-1], Frame(made.image, made.stamp + 1 / 30, made.sequence + 1), tracker, pose).state
     assert after.colours.projection == states[-1].colours.projection
+
+
+@pytest.mark.parametrize("polarity", ["auto", "dark"])
+def test_the_blur_of_the_lens_is_measured_when_a_picture_shows_edges_and_again_later(polarity):
+    """The first frames are dark, then the lens is out of focus by 2 px, and after a second it is focused."""
+    sim, frames = film("white-black", 3.0)
+    seen = [replace(f, frame=replace(f.frame, image=through_lens(f.frame))) for f in frames]
+    states, *_ = run(sim, seen, Settings(discs=DiscSettings(polarity=polarity)))
+    blur = [s.colours.lens_blur for s in states]
+    assert blur[2] is None
+    assert blur[25] == pytest.approx(2.0, rel=0.15)
+    assert blur[-1] == LENS_BLUR
+
+
+def through_lens(frame):
+    if frame.sequence < 3:
+        return np.zeros_like(frame.image)
+    return cv2.GaussianBlur(frame.image, (0, 0), 2.0) if frame.stamp < 1.0 else frame.image

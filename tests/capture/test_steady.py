@@ -65,6 +65,24 @@ def test_a_late_frame_gets_its_expected_time():
     np.testing.assert_allclose(steadied(raw), t, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("gap", [0.1, 0.517, 10.007])
+def test_a_pause_of_the_camera_costs_less_than_an_interval(gap):
+    """The driver does not count the frames of the pause, and the camera may begin with another phase."""
+    t = exposures(n=200)
+    t[100:] += gap
+    for raw in (t, by_usb(t, np.random.default_rng(4))):
+        errors = steadied(raw) - t
+        assert np.abs(errors).max() < 1.0 / FPS
+        assert np.abs(errors[102:]).max() < PACKETS + 1e-3
+
+
+def test_a_counter_that_jumps_leaves_the_interval():
+    t = exposures(n=200)
+    counts = [1] * 200
+    counts[100] = 1000
+    np.testing.assert_allclose(steadied(t, counts=counts), t, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("fps", [7.5, 15.0, 20.0, 25.0, 60.0])
 def test_a_camera_that_changes_its_interval_is_followed_from_the_second_frame(fps):
     t = np.concatenate([exposures(n=100), exposures(n=100)[-1] + np.arange(1, 100) / fps])

@@ -14,7 +14,9 @@ _MIN_SLOPE_OVER_NOISE = 6.0  # times the median slope, which is that of noise
 
 
 def blur_of(image: Image) -> float:
-    """Standard deviation, px, of the blur of the steepest edges in an image (h, w, 3) BGR or (h, w); nan without any.
+    """Return the standard deviation, px, of the blur of the steepest edges in an image, (h, w, 3) BGR or (h, w).
+
+    Returns nan without edges. The blur is that of the lens, without the pixels' own.
 
     A lens in focus gives 0.3 to 0.7. Rings of 4 px are lost in a blur of 2. An edge that is blurred once more loses the
     more of its slope, the sharper it was (Zhuo, Sim 2011, "Defocus map estimation from a single image", eq. 4-6).

@@ -26,7 +26,7 @@ _REDUCED_DIAMETER = 14.0  # px, diameter of a disc in the reduced picture: a fin
 _MAX_SPOT_SIZE = 3.0  # largest diameter of a spot, in diameters of a disc
 _MIN_SPOT_CONTRAST = 0.05  # contrast of the faintest spots: uneven paint has less
 _MIN_ROUNDNESS = 0.8  # least area of a spot over that of the ellipse in its box; a strut's corner has less
-_MAX_BLUR = 2.4  # px: in such blur the detector finds few discs of any size; `blur_of` saturates at 3 to 4
+_MAX_BLUR = 2.4  # px: in such blur slivers and ring targets are lost; `blur_of` saturates at 3 to 4
 _MAX_RELATIVE_BLUR = 0.25  # of a disc's diameter: so wide a Gaussian removes a seventh of the contrast, and the rim
 _MIN_SPOTS = 3  # spots: fewer are no evidence for the whole ball
 

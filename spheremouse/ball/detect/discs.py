@@ -138,16 +138,20 @@ class DiscDetector:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
 
-    def with_lens_blur(self, sigma: float) -> "DiscDetector":
-        """Return the detector for a lens that blurs with a standard deviation, px."""
-        blur = _rim_blur(self.settings, sigma)
+    def with_lens_blur(self, sigma: float | None) -> "DiscDetector":
+        """Return the detector for a lens that blurs with a standard deviation, px; None: a lens in focus."""
+        blur = _rim_blur(self.settings, LENS_BLUR if sigma is None else sigma)
         if blur == self.model.fit.blur:
             return self
         return replace(self, model=self.model._replace(fit=self.model.fit._replace(blur=blur)))
 
-    def lens_blur(self, image: Image) -> float:
-        """Return the standard deviation, px, of the lens's blur in an image, by its steepest edges near the ball."""
-        return float(np.clip(np.nan_to_num(blur_of(image[self.window])), LENS_BLUR, _MAX_LENS_BLUR))
+    def lens_blur(self, image: Image) -> float | None:
+        """Return the standard deviation, px, 0.4 to 3, of the lens's blur in an image, by its edges near the ball.
+
+        Returns None if there are no edges.
+        """
+        blur = blur_of(image[self.window])
+        return None if np.isnan(blur) else float(np.clip(blur, LENS_BLUR, _MAX_LENS_BLUR))
 
     def detect(self, image: Image, learnt: SearchState = _NOTHING_LEARNT) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included.

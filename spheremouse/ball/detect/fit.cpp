@@ -18,12 +18,13 @@ constexpr double UNEVEN = 0.02;        // of the contrast: unevenness of print a
 constexpr double GLOSS = 0.3;          // of the contrast, the most that gloss takes of it, from a centre to its rim
 constexpr double SLOPE = 0.02;         // 1/px of the ball's shade, as 60 degrees off the light at 100 px radius
 constexpr double SIZE = 0.02;          // discs cut from one sheet differ by this part of their size
-constexpr double IN_FOCUS = 0.94;      // px, blur of rims for which the next five hold; they grow with the blur
+// Of a picture in focus. Lengths grow with the blur, biases of slivers with its cube and square.
+constexpr double IN_FOCUS = 0.94;      // px, blur of its rims
 constexpr double SURROUND = 3.0;       // px of background around a disc: enough for its slope, too few for more
-constexpr double RIM_OFFSET = 0.35;    // px by which blur and gloss may shift a rim: much of a sliver's size
+constexpr double RIM_OFFSET = 0.35;    // px, three standard deviations of a rim's shift by blur and gloss
 constexpr double SLIVER = 2.0;         // px, semi-minor axis below which both rims are one blur
 constexpr double SLIVER_BIAS = 0.15;   // px at a semi-minor axis of one pixel
-constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur shortens it, the same
+constexpr double SLIVER_SIZE = 0.18;   // part of its size by which that blur shortens it, at a semi-minor axis of one pixel
 constexpr double COVER_BIAS = 1.5;     // px, the same of a disc that a cover cuts, along its shorter axis
 constexpr double MISFIT = 16.0;        // px²: error times semi-minor axis, per part of the rim that does not fit
 constexpr double SHOWN = 0.15;         // least part of the rim beside a cover: an arc of 54 degrees
@@ -62,10 +63,10 @@ struct DiscFit {
 
     bool is_smeared() const { return disc.is_smeared(); }
 
-    /// Return the part of the size by which blur and gloss may shift the rim.
+    /// Return the standard deviation of the rim's shift by blur and gloss, relative to the size.
     double rim_sigma() const { return RIM_OFFSET / 3.0 * defocus / minor; }
 
-    /// Return the part of the size by which blur shortens the image of a sliver, over SLIVER_SIZE.
+    /// Return the square of defocus over semi-minor axis, px^-2, to which the biases of slivers are proportional.
     double thinness() const { return std::pow(defocus / minor, 2); }
 
     double size_sigma() const { return SIZE + rim_sigma(); }
@@ -139,7 +140,8 @@ double gauss_newton_step(DiscFit& fit, const Expectation& expected, double dampi
     return std::max(std::abs(step(6)), std::abs(step(7)));
 }
 
-/// Collect the pixels on the ball within an ellipse whose axes are longer by SURROUND and half of the way.
+/// Collect the pixels on the ball within an ellipse whose axes are longer by SURROUND times the defocus and half of the
+/// way. Set axes, defocus and shape at rest; return false if there are too few pixels.
 bool collect_pixels(DiscFit& fit, const Photo& photo, const FitSettings& settings) {
     const Shape& S = fit.disc.shape;
     const double u0 = fit.disc.place(0), v0 = fit.disc.place(1);

@@ -2,12 +2,12 @@
 
 Until the ball turns, the tracker repeatedly tries all candidates (detect.discs). Once three discs are known, Fisher's
 discriminant of their pixels replaces the candidate if it gives more information. After that the projection stays the
-same, unless the ball is lost for 10 s.
+same, unless the ball is lost for 10 s. The lens's blur is measured at the start, and again after twice the time.
 """
 
 from typing import Any
 
-from spheremouse.ball.detect.discs import LENS_BLUR, DiscDetector, best_projection, projections_to_try
+from spheremouse.ball.detect.discs import DiscDetector, best_projection, projections_to_try
 from spheremouse.ball.detect.projection import colour_contrast
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
@@ -40,12 +40,8 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 
     If another projection shows the discs better, the search and an unfinished phase start again with it.
     """
-    image, due = frame.image, is_trial_due(state, frame.stamp)
-    if tracker.detector.uses_colours and (state.colours.lens_blur is None or (due and not state.colours.tried_now)):
-        blur = tracker.detector_data.lens_blur(image)
-        state = state._replace(colours=state.colours._replace(lens_blur=blur))
-    before = state.colours
-    if not due:
+    before, image = state.colours, frame.image
+    if not is_trial_due(state, frame.stamp):
         return state._replace(colours=before._replace(tried_now=())) if before.tried_now else state
     detector = blurred_detector(state, tracker)  # the projection is fixed for one that uses no colours
     known = dict(before.tried_now)
@@ -59,7 +55,7 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if projection == before.projection:
         wait = min(2.0 * before.wait, _MAX_WAIT_S) if information > _MIN_INFORMATION else _FIRST_WAIT_S
         return state._replace(colours=before._replace(tried=frame.stamp, wait=wait, tried_now=()))
-    colours = Colours(projection, tried=frame.stamp, wait=_FIRST_WAIT_S, lens_blur=before.lens_blur)
+    colours = before._replace(projection=projection, tried=frame.stamp, wait=_FIRST_WAIT_S, tried_now=(), refined=False)
     state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
         return state
@@ -67,10 +63,21 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     return state._replace(filter=start, alternatives=())
 
 
+def with_blur(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
+    """Return the state after a measurement of the lens's blur, if one is due. A picture without edges shows none."""
+    colours = state.colours
+    if not tracker.detector.uses_colours or colours.blur_due - colours.blur_wait <= frame.stamp < colours.blur_due:
+        return state
+    blur = tracker.detector_data.lens_blur(frame.image)
+    if blur is None:
+        return state._replace(colours=colours._replace(blur_due=frame.stamp + colours.blur_wait))
+    wait = 2.0 * colours.blur_wait
+    return state._replace(colours=colours._replace(lens_blur=blur, blur_due=frame.stamp + wait, blur_wait=wait))
+
+
 def blurred_detector(state: TrackState, tracker: Tracker) -> DiscDetector:
     """Return the detector of discs for the blur of the camera's lens."""
-    blur = state.colours.lens_blur
-    return tracker.detector_data.with_lens_blur(LENS_BLUR if blur is None else blur)
+    return tracker.detector_data.with_lens_blur(state.colours.lens_blur)
 
 
 def _in_other_colours(phase: Phase) -> Phase:

@@ -48,12 +48,12 @@ class BothData(NamedTuple):
         """Model of the discs."""
         return self.discs.model
 
-    def with_lens_blur(self, sigma: float) -> DiscDetector:
-        """Return the detector of discs for a lens that blurs with a standard deviation, px."""
+    def with_lens_blur(self, sigma: float | None) -> DiscDetector:
+        """Return the detector of discs for a lens that blurs with a standard deviation, px; None: one in focus."""
         return self.discs.with_lens_blur(sigma)
 
-    def lens_blur(self, image: Image) -> float:
-        """Return the standard deviation, px, of the lens's blur in an image."""
+    def lens_blur(self, image: Image) -> float | None:
+        """Return the standard deviation, px, of the lens's blur in an image; None without edges."""
         return self.discs.lens_blur(image)
 
     def with_projection(self, projection: Projection) -> DiscDetector:

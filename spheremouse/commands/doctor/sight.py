@@ -146,9 +146,8 @@ def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
 
     Most views decide.
     """
-    if views:
-        blur = float(np.median([seen.detector.lens_blur(v.image) for v in views]))
-        seen = replace(seen, detector=seen.detector.with_lens_blur(blur))
+    if blurs := [blur for v in views if (blur := seen.detector.lens_blur(v.image)) is not None]:
+        seen = replace(seen, detector=seen.detector.with_lens_blur(float(np.median(blurs))))
     if seen.detector.settings.projection is not None:
         return seen
     found = Counter(best_projection(v.image, seen.detector, seen.projection)[0] for v in views)
