@@ -117,11 +117,12 @@ def _turns_steadily(state: TrackState) -> bool:
 
 
 def _predicted(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
-    """Process a frame that shows nothing new. The filter goes on from the frame before."""
+    """Process a frame that shows the last picture again. The filter goes on from the frame before."""
     carried = tracker.filter.predict(state.filter, stamp)
     done = _step(state._replace(filter=carried, confirmed=False), stamp, ())
     picture = state.picture._replace(repeats=state.picture.repeats + 1)
-    return Step(state._replace(picture=picture, frames=done.state.frames), done.estimate)
+    estimate = done.estimate._replace(statistics=statistics(state))  # of the picture
+    return Step(state._replace(picture=picture, frames=done.state.frames), estimate)
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
