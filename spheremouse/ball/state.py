@@ -94,8 +94,8 @@ class Colours(NamedTuple):
     tried_now: tuple[tuple[Projection, float], ...] = ()  # of an unfinished trial, and their information
     refined: bool = False  # from the pixels of known discs
     lens_blur: float | None = None  # px, standard deviation; None: not measured yet
-    blur_due: float = -np.inf  # s, when it is measured again
-    blur_wait: float = 0.5  # s until then
+    blur_tried: float = -np.inf  # s, when it was measured last
+    blur_wait: float = 0.5  # s until it is measured again
 
 
 class Recognising(NamedTuple):

@@ -118,11 +118,11 @@ def _turns_steadily(state: TrackState) -> bool:
 
 def _predicted(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
     """Process a frame that shows the last picture again. The filter goes on from the frame before."""
-    carried = tracker.filter.predict(state.filter, stamp)
-    done = _step(state._replace(filter=carried, confirmed=False), stamp, ())
+    carried = state._replace(filter=tracker.filter.predict(state.filter, stamp))
+    estimate = _estimate(carried, stamp, np.zeros(6), np.zeros((6, 6)), confirmed=False)
     picture = state.picture._replace(repeats=state.picture.repeats + 1)
-    estimate = done.estimate._replace(statistics=statistics(state))  # of the picture
-    return Step(state._replace(picture=picture, frames=done.state.frames), estimate)
+    state = state._replace(picture=picture, frames=state.frames + 1)
+    return Step(state, estimate._replace(statistics=statistics(state)))  # of the picture
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:

@@ -61,13 +61,11 @@ def steady_stamp(last: Rhythm, raw: float, n: int = 1) -> Rhythm:
     P, R = last.interval, last.delay_variance
     gate = max(_GATE * math.sqrt(last.stamp_variance + n * n * last.interval_variance + R), _USB_DELAY_S)
     late = raw - last.stamp - n * P
-    uncounted = round(late / P) if late > gate else 0  # frames that the camera lost, or those of another interval
-    odd, counted = late > gate, n
-    if abs(late - uncounted * P) < gate:
-        n, late = n + uncounted, late - uncounted * P
-    elif odd:
-        n += math.floor(late / P)
-        late -= math.floor(late / P) * P
+    odd, counted, lost = late > gate, n, 0
+    if odd:  # frames that the camera lost, or those of another interval
+        lost = round(late / P)
+        lost = lost if abs(late - lost * P) < gate else math.floor(late / P)
+    n, late = n + lost, late - lost * P
     a = last.stamp_variance + n * (2.0 * last.covariance + n * last.interval_variance)
     b = last.covariance + n * last.interval_variance
     c = last.interval_variance + n * (_WANDER * P) ** 2

@@ -8,6 +8,7 @@ a blurred ellipse, whose shape follows from the geometry. The fit gives centre, 
 measures each disc in its own window and does not process the whole image.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -322,7 +323,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
 
 def _rim_blur(settings: DiscSettings, lens: float) -> float:
     """Return the standard deviation, px, of a rim's blur by pixels, lens and our own smoothing."""
-    return float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + lens**2))
+    return math.sqrt(settings.smoothing**2 + 1.0 / 12.0 + lens**2)
 
 
 def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.bool_]:

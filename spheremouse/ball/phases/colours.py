@@ -65,14 +65,13 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 
 def with_blur(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     """Return the state after a measurement of the lens's blur, if one is due. A picture without edges shows none."""
-    colours = state.colours
-    if not tracker.detector.uses_colours or colours.blur_due - colours.blur_wait <= frame.stamp < colours.blur_due:
+    colours, stamp = state.colours, frame.stamp
+    if not tracker.detector.uses_colours or colours.blur_tried <= stamp < colours.blur_tried + colours.blur_wait:
         return state
-    blur = tracker.detector_data.lens_blur(frame.image)
-    if blur is None:
-        return state._replace(colours=colours._replace(blur_due=frame.stamp + colours.blur_wait))
-    wait = 2.0 * colours.blur_wait
-    return state._replace(colours=colours._replace(lens_blur=blur, blur_due=frame.stamp + wait, blur_wait=wait))
+    colours, blur = colours._replace(blur_tried=stamp), tracker.detector_data.lens_blur(frame.image)
+    if blur is not None:
+        colours = colours._replace(lens_blur=blur, blur_wait=2.0 * colours.blur_wait)
+    return state._replace(colours=colours)
 
 
 def blurred_detector(state: TrackState, tracker: Tracker) -> DiscDetector:

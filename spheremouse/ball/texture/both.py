@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector
-from spheremouse.ball.detect.projection import Projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.detect.windows import DiscModel
 from spheremouse.ball.disc_map import DiscMap
@@ -55,10 +54,6 @@ class BothData(NamedTuple):
     def lens_blur(self, image: Image) -> float | None:
         """Return the standard deviation, px, of the lens's blur in an image; None without edges."""
         return self.discs.lens_blur(image)
-
-    def with_projection(self, projection: Projection) -> DiscDetector:
-        """Return the detector of discs with another projection of colours."""
-        return self.discs.with_projection(projection)
 
 
 class BothState(NamedTuple):
