@@ -9,7 +9,7 @@ measures each disc in its own window and does not process the whole image.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -21,11 +21,9 @@ from spheremouse.ball.detect.appearance import appearance, ball_mask, clear_mask
 from spheremouse.ball.detect.blur import blur_of
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.projection import (
-    CANDIDATES,
     GREY,
     NEGATIVE,
     Projection,
-    colour_contrast,
     normalise,
     offset_of,
     projected,
@@ -52,10 +50,7 @@ _MAX_ROUNDS = 3  # of the search for slivers in one picture: struts that cross t
 # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
 _MAX_SEARCHED_DISC_PX = 14.0
 
-_MIN_GAIN = 1.5  # least gain in information for a change: standard deviations a fifth smaller
 _MIN_SIGMA_FRACTION = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
-_MIN_GAIN_OVER_GREY = 1.4  # of signal over noise, squared, for Fisher's weights; they have 1.34 times grey's on white
-_MIN_INFORMATION = 0.02  # discs: stains give less information
 _NOTHING_LEARNT = SearchState()
 _NO_DISCS = np.zeros((0, 3))
 
@@ -356,50 +351,3 @@ def _centroid(contour: Image) -> tuple[float, float]:
         return m["m10"] / m["m00"], m["m01"] / m["m00"]
     x, y = contour[:, 0].mean(axis=0)
     return float(x), float(y)
-
-
-def projections_to_try(image: Image, present: Projection) -> tuple[Projection, ...]:
-    """Return the candidates for an image, (h, w, 3) BGR or (h, w): the `present` projection first, if it may stay."""
-    return (GREY, NEGATIVE) if image.ndim == 2 else tuple(dict.fromkeys((present, *CANDIDATES)))
-
-
-def best_projection(
-    image: Image, detector: DiscDetector, present: Projection, known: Mapping[Projection, float] | None = None
-) -> tuple[Projection, float]:
-    """Return the projection that shows the discs best, and its information in noise-free discs.
-
-    The information is that of all fits about the discs' centres. Many fits of good contrast give much information, and
-    a fit of a stain or a highlight gives little. `image` is (h, w, 3) BGR or (h, w). The `present` projection stays
-    unless another one is clearly better. Grey or its negative takes precedence over colours if it is nearly as good.
-    Candidates whose information in an image just before is `known` are not tried again.
-    """
-    information = dict(known or {})
-    for p in projections_to_try(image, present):
-        if p not in information:
-            information[p] = detector.with_projection(p).information(image)
-    best, most = max(information, key=information.__getitem__), max(information.values())
-    if most < _MIN_GAIN * information.get(present, 0.0) + _MIN_INFORMATION:
-        best = present
-    else:
-        best = next((p for p in (GREY, NEGATIVE) if information[p] * _MIN_GAIN > most), best)
-    if image.ndim == 2 or best.needs_colour:
-        return best, information.get(best, 0.0)
-    fisher = _better_than_grey(image, detector.with_projection(best))
-    more = 0.0 if fisher is None else detector.with_projection(fisher).information(image)
-    if fisher is None or more < information[best]:  # such as spots on a hand, which are as dark in grey
-        return best, information[best]
-    return fisher, more
-
-
-def _better_than_grey(image: Image, detector: DiscDetector) -> Projection | None:
-    """Return Fisher's projection, or None if that of the `detector`, grey or its negative, is nearly as good.
-
-    White, black and grey differ alike in all channels, so grey shows nearly all of their contrast. White on red differ
-    in two channels, and the noise of the third one only disturbs.
-    """
-    contrast = colour_contrast(image, detector.model.mask, detector.detect(image), detector.model.diameter)
-    if contrast is None:
-        return None
-    fisher = contrast.fisher
-    gain = (contrast.signal_to_noise(fisher) / contrast.signal_to_noise(detector.model.fit.projection)) ** 2
-    return fisher if gain > _MIN_GAIN_OVER_GREY else None

@@ -1,13 +1,15 @@
 """Choice of the colour projection in which discs are darker than the ball.
 
-Until the ball turns, the tracker repeatedly tries all candidates (detect.discs). Once three discs are known, Fisher's
-discriminant of their pixels replaces the candidate if it gives more information. After that the projection stays the
-same, unless the ball is lost for 10 s. The lens's blur is measured at the start, and again after twice the time.
+Until the ball turns, the tracker repeatedly tries all candidates (detect.choose_projection). Once three discs are
+known, Fisher's discriminant of their pixels replaces the candidate if it gives more information. After that the
+projection stays the same, unless the ball is lost for 10 s. The lens's blur is measured at the start, and again after
+twice the time.
 """
 
 from typing import Any
 
-from spheremouse.ball.detect.discs import DiscDetector, best_projection, projections_to_try
+from spheremouse.ball.detect.choose_projection import best_projection, projections_to_try
+from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import colour_contrast
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours

@@ -9,9 +9,10 @@ import numpy as np
 
 from spheremouse.ball.build import build, detector_of
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
+from spheremouse.ball.detect.choose_projection import best_projection
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.diagnosis import why_no_disc
-from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, best_projection, disc_detector
+from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import SearchState

@@ -6,8 +6,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from ray_cast import BALL, DISCS, INK, POSE, RIG, TRUTH, errors, match, ray_cast
 
+from spheremouse.ball.detect.choose_projection import best_projection
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.detect.discs import DiscSettings, best_projection, disc_detector
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import (
     CANDIDATES,
     GREY,
