@@ -9,7 +9,6 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import protocol
-from spheremouse.session.control.pictures import PictureRing
 from spheremouse.session.control.protocol import Request
 
 PAGE = Path(__file__).parents[1] / "docs" / "control.md"
@@ -136,8 +135,8 @@ class Daemon:
                 reply(page_reply(request.command))
             case protocol.Replay():
                 reply({})
-            case protocol.Pictures():
-                reply({"slots": 3, "slot_bytes": 987136, "ring": PictureRing(987136)})
+            case Request(command="picture"):
+                reply(page_reply("picture") | {"pixels": b"12345678"})
             case Request(command="stop"):
                 reply({})
             case Request(command="reinit"):

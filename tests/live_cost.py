@@ -31,7 +31,6 @@ from spheremouse.geometry import Array
 from spheremouse.output import Output
 from spheremouse.session import outputs
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.protocol import LEASE
 from spheremouse.session.live_run import LiveRun
 from spheremouse.session.process import realtime
 from spheremouse.session.run_config import CommandLineOverrides, read_run_config
@@ -44,7 +43,7 @@ from tests.daemon_world import Film
 
 FPS = 60.0
 PATIENCE = 300.0  # s, until the daemon tracks
-SETTLE = LEASE + 0.5  # s after a client, in which its lease ends
+SETTLE = 1.0  # s after a client
 CONFIG = 'schema: 2\nsource: "synthetic:"\noutput: "null"\nrig: rig.yaml\nrealtime: auto\ncontrol: {{socket: {}/s}}\n'
 
 
@@ -92,15 +91,13 @@ def wait_for_tracking(path: Path) -> None:
 
 
 def pictures(path: Path, end: float, interval: float = 1 / 15) -> None:
-    """Read 15 pictures a second, and renew the lease each second."""
+    """Read 15 pictures a second."""
     with Client(path) as client:
-        reader, renewed, last = client.pictures(interval), time.monotonic(), 0
-        while (now := time.monotonic()) < end:
-            if now - renewed > 1.0:
-                reader, renewed = client.pictures(interval), now
-            if (picture := reader.latest(last)) is not None:
-                last = picture.number
-            time.sleep(interval / 4)
+        due = time.monotonic()
+        while time.monotonic() < end:
+            client.picture()
+            due = max(due + interval, time.monotonic())
+            time.sleep(due - time.monotonic())
 
 
 def page(path: Path, end: float) -> None:
@@ -156,7 +153,7 @@ def connections(path: Path, end: float) -> None:
         with socket.socket(socket.AF_UNIX) as connection, contextlib.suppress(OSError):
             connection.settimeout(5.0)
             connection.connect(str(path))
-            connection.sendall(b'{"command": "pictures"}\n')
+            connection.sendall(b'{"command": "picture"}\n')
             if k % 2:
                 connection.recv(100)
         time.sleep(max(0.0, begun + (end - begun) * k / 1000 - time.monotonic()))
@@ -166,7 +163,7 @@ def silent(path: Path, end: float) -> None:
     """Ask for pictures, samples and 200 settings, and read nothing."""
     with socket.socket(socket.AF_UNIX) as connection, contextlib.suppress(OSError):
         connection.connect(str(path))
-        connection.sendall(b'{"command": "pictures"}\n{"command": "watch", "interval": 0.1, "samples": true}\n')
+        connection.sendall(b'{"command": "watch", "interval": 0.1, "samples": true}\n{"command": "picture"}\n')
         connection.settimeout(1.0)
         for _ in range(200):
             connection.sendall(b'{"command": "settings"}\n')
@@ -179,7 +176,7 @@ def dead(path: Path, end: float) -> None:
 from spheremouse.session.control.client import Client
 client = Client(pathlib.Path({str(path)!r}))
 while True:
-    client.pictures().latest()
+    client.picture()
     time.sleep(0.01)
 """
     with subprocess.Popen([sys.executable, "-c", code]) as process:
@@ -200,9 +197,8 @@ KINDS: dict[str, Callable[[Path, float], None]] = {
 
 
 def memory(pid: int) -> float:
-    """MB resident without pages of files, with shared memory."""
-    mb = megabytes(pid)
-    return mb["RssAnon"] + mb["RssShmem"]
+    """MB resident without pages of files."""
+    return megabytes(pid)["RssAnon"]
 
 
 def period(path: Path, pid: int, kind: str, seconds: float) -> tuple[str, float, float, float, int]:

@@ -5,7 +5,7 @@ import time
 from spheremouse.capture.replay import Controls
 from spheremouse.errors import ControlError
 from spheremouse.session.config_reloader import settings_in_use
-from spheremouse.session.control.protocol import Pictures, Profile, Record, Replay, Save, Set, Snapshot, refused
+from spheremouse.session.control.protocol import Profile, Record, Replay, Save, Set, Snapshot, refused
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.control.status import State
 from spheremouse.session.live_run import PAUSED, LiveRun
@@ -16,17 +16,15 @@ from spheremouse.session.tracker_adapter import POSE
 def receive(run: LiveRun, pending: PendingRequest) -> None:
     """Answer a request in the thread of the control socket, or leave it to the worker."""
     request, monitor = pending.request, run.monitor
-    if isinstance(request, Pictures):
-        camera = run.adapter.camera
-        ring = run.pictures.lease(time.monotonic(), request.interval, (camera.width, camera.height))
-        pending.answer({"slots": ring.slots, "slot_bytes": ring.slot_bytes, "ring": ring})
-    elif request.command == "status":
+    if request.command == "status":
         pending.answer(status_of(run).as_json())
     elif request.command == "settings":
         overrides, plan = run.reloader.overrides, run.reloader.plan
         pending.answer({"settings": settings_in_use(overrides, plan), "changes": list(overrides.changes)})
     elif request.command == "scene":
         pending.answer(run.adapter.scene())
+    elif request.command == "picture":
+        run.pictures.request(time.monotonic(), pending)
     elif request.command == "stop":
         run.ending = True
         run.ring.wake()

@@ -1,4 +1,4 @@
-"""Live pictures for all browsers: the lease of the daemon's memory."""
+"""Live pictures for all browsers, requested from the daemon while browsers ask for them."""
 
 import asyncio
 import contextlib
@@ -9,18 +9,14 @@ from pathlib import Path
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.jpeg_picture import JpegPicture
-from spheremouse.session.control.pictures import PictureReader
 
 INTERVAL = 1 / 15  # s between two pictures
-_LEASE_RENEWAL_S = 1.0  # s between two renewals of the lease
-_PAUSE_AFTER_PICTURE_S = 0.97 * INTERVAL  # s after a picture, in which no other is looked for
-_MEMORY_POLL_S = 0.01  # s between two looks into the memory
-_LEASE_KEPT_S = 1.0  # s after the last request, in which the lease is kept
-_LEASE_RETRY_S = 0.5  # s after a failed lease
+_WANTED_S = 1.0  # s after the last request of a browser, in which pictures are requested
+_RETRY_S = 0.5  # s after a failed request
 
 
 class Pictures:
-    """The daemon's pictures, at most one each INTERVAL, read while browsers ask for them.
+    """The daemon's pictures, at most one each INTERVAL, requested while browsers ask for them.
 
     All methods are called in the event loop.
     """
@@ -35,7 +31,7 @@ class Pictures:
 
     async def after(self, shown: JpegPicture | None, timeout: float) -> JpegPicture | None:
         """Return the first picture after `shown`; None if none comes within `timeout`, s."""
-        self._wanted_until = time.monotonic() + _LEASE_KEPT_S
+        self._wanted_until = time.monotonic() + _WANTED_S
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._read())
         with contextlib.suppress(TimeoutError):
@@ -46,26 +42,21 @@ class Pictures:
         return None
 
     async def _read(self) -> None:
-        """Hold the lease and read the memory while browsers ask."""
+        """Request pictures while browsers ask."""
         while time.monotonic() < self._wanted_until:
             try:
-                await self._read_under_lease()
+                await self._read_from(self._socket())
             except ControlError:  # the link to the daemon reports it
-                await asyncio.sleep(_LEASE_RETRY_S)
+                self._latest = None
+                await asyncio.sleep(_RETRY_S)
         self._latest = None
 
-    async def _read_under_lease(self) -> None:
-        reader: PictureReader | None = None
-        number, renew_at, socket, self._latest = 0, 0.0, self._socket(), None
+    async def _read_from(self, socket: Path | None) -> None:
         with Client(socket) as client:
-            while (now := time.monotonic()) < self._wanted_until and socket is self._socket():
-                if reader is None or now >= renew_at:
-                    renewed = await asyncio.to_thread(client.pictures, INTERVAL)
-                    number = number if renewed is reader else 0
-                    reader, renew_at = renewed, now + _LEASE_RENEWAL_S
-                picture = reader.latest(number)
-                if picture is not None:
-                    number, self._latest = picture.number, JpegPicture(picture)
-                    self._arrived.set()
-                    self._arrived = asyncio.Event()
-                await asyncio.sleep(_MEMORY_POLL_S if picture is None else _PAUSE_AFTER_PICTURE_S)
+            due = time.monotonic()
+            while time.monotonic() < self._wanted_until and socket is self._socket():
+                self._latest = JpegPicture(await asyncio.to_thread(client.picture))
+                self._arrived.set()
+                self._arrived = asyncio.Event()
+                due = max(due + INTERVAL, time.monotonic())
+                await asyncio.sleep(due - time.monotonic())

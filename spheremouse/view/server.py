@@ -51,7 +51,7 @@ _REQUEST_TIMEOUT = 5.0  # s in which a connection must request something
 _SEND_TIMEOUT = 30.0  # s in which a browser must read a message
 _PROGRESS_INTERVAL_S = 2.0  # s
 _LINK_KEPT_S = 3.0  # s after the last browser, in which the link to the daemon stays
-_SHOWN = ("number", "stamp", "width", "height", "annotations")  # of a picture
+_SHOWN = ("stamp", "width", "height", "annotations")  # of a picture
 _COOKIE_AGE = 365 * 86400  # s
 
 

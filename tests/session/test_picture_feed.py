@@ -1,6 +1,5 @@
 """Live pictures of a run, and a recording in the place of its camera."""
 
-import os
 import threading
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +18,7 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
 from spheremouse.session.command_handler import handle
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.pictures import PictureReader
-from spheremouse.session.control.protocol import LEASE, Replay
+from spheremouse.session.control.protocol import Replay, Request
 from spheremouse.session.control.request_queue import PendingRequest
 from spheremouse.session.live_run import LiveRun
 from spheremouse.session.offline import track
@@ -29,20 +27,7 @@ from spheremouse.session.run_config import CommandLineOverrides, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import open_replay
 
-SIZE = (8, 4)
-
-
-def numbered(number=1, size=SIZE, error=None):
-    """A raw frame whose pixels are its number."""
-    w, h = size
-    return RawPicture(None, np.full((h, w), number % 256, np.uint8), 3.5, number, error)
-
-
 ADAPTER = SimpleNamespace(annotations=lambda made: {"sequence": made})
-
-
-def show(feed, now, raw, made, camera=0, cameras=1, adapter=ADAPTER):
-    feed.show(now, Arrival(raw, now, camera), adapter, made, cameras)
 
 
 @pytest.fixture
@@ -52,76 +37,67 @@ def log():
 
 @pytest.fixture
 def feed(log):
-    feed = PictureFeed(log.append)
-    yield feed
-    feed.close()
+    return PictureFeed(log.append)
 
 
-def reader_of(feed, now=0.0, interval=0.1, size=SIZE):
-    return PictureReader(feed.lease(now, interval, size).duplicate())
+def request(feed, now):
+    """Request a picture; the replies to it."""
+    replies = []
+    feed.request(now, PendingRequest(Request(command="picture"), replies.append))
+    return replies
 
 
-@pytest.mark.parametrize(
-    ("fps", "intervals"),
-    [(60.0, (1 / 15,)), (30.0, (0.05,)), (187.0, (0.1,)), (29.97, (1 / 15,)), (60.0, (0.05, 0.5)), (60.0, (0.5, 0.05))],
-)
-def test_the_mean_interval_is_the_shortest_one_requested_at_any_rate_of_the_camera(feed, fps, intervals):
-    raws = [numbered() for _ in range(int(2.0 * fps))]
-    for k, raw in enumerate(raws):
-        for interval in intervals if k % 20 == 0 else ():
-            feed.lease(k / fps, interval, SIZE)
-        show(feed, k / fps, raw, k)
-    shown, shortest = np.flatnonzero([raw.copied for raw in raws]) / fps, min(intervals)
-    assert np.mean(np.diff(shown)) == pytest.approx(max(shortest, 1 / fps), rel=0.03)
-    assert np.diff(shown).min() > 0.5 * shortest - 1e-9
+def show(feed, now, made=1, camera=0, cameras=1, adapter=ADAPTER, error=None):
+    """Show the feed a frame whose pixels are its number, and return it."""
+    raw = RawPicture(None, np.full((4, 8), made % 256, np.uint8), 3.5, made, error)
+    feed.show(now, Arrival(raw, now, camera), adapter, made, cameras)
+    return raw
 
 
-@pytest.mark.parametrize(("cameras", "shown"), [((0, 1), [0, 1, 0, 1, 0, 1]), ((1,), [1, 1, 1, 1])])
+def test_without_a_request_nothing_is_copied_and_requests_share_a_picture(feed):
+    assert not show(feed, 0.0).copied
+    first, second = request(feed, 0.0), request(feed, 0.0)
+    assert show(feed, 0.1, 7).copied == 1
+    assert first == second
+    marks = {"camera": 0, "sequence": 7}
+    expected = {"stamp": 3.5, "format": "grey", "width": 8, "height": 4, "annotations": marks}
+    assert first == [expected | {"bytes": 32, "pixels": 32 * b"\x07"}]
+    third = request(feed, 0.1)
+    shown = [show(feed, 0.1 + k / 100).copied for k in range(1, 8)]
+    assert (shown, len(third)) == ([0, 0, 1, 0, 0, 0, 0], 1)
+
+
+@pytest.mark.parametrize(("cameras", "shown"), [((0, 1), [0, 1, 0, 1, 0, 1]), ((1,), [1] * 6)])
 def test_two_cameras_take_turns_and_one_goes_on_alone(feed, cameras, shown):
-    reader, seen = reader_of(feed), []
+    seen, waiting = [], request(feed, 0.0)
     for k in range(18):  # 0.6 s
         for camera in cameras:
-            show(feed, k / 30 + 1e-3 * camera, numbered(k), k, camera=camera, cameras=2)
-            if (picture := reader.latest(len(seen))) is not None:
-                seen.append(picture.annotations["camera"])
+            now = k / 30 + 1e-3 * camera
+            show(feed, now, camera=camera, cameras=2)
+            if waiting:
+                seen.append(waiting[0]["annotations"]["camera"])
+                waiting = []
+        if k % 3 == 2:
+            waiting = request(feed, now + 1e-3)
     assert seen == shown
 
 
-def test_without_a_lease_nothing_is_copied_and_no_memory_is_held(feed):
-    before, raw = len(os.listdir("/proc/self/fd")), numbered()
-    show(feed, 0.0, raw, 1)
-    ring = feed.lease(1.0, 0.1, SIZE)
-    assert len(os.listdir("/proc/self/fd")) > before
-    for now in (1.0, 1.0 + 0.9 * LEASE):
-        feed.expire(now)
-        show(feed, now, raw, 1)
-    assert raw.copied == 2
-    feed.expire(1.1 + LEASE)
-    show(feed, 1.1 + LEASE, raw, 1)
-    assert raw.copied == 2
-    assert len(os.listdir("/proc/self/fd")) == before
-    assert feed.lease(9.0, 0.1, SIZE) is not ring
-
-
-def test_a_larger_frame_gets_a_larger_ring_and_numbers_go_on(feed):
-    reader = reader_of(feed)
-    show(feed, 0.0, numbered(1), 1)
-    first = reader.latest().number
-    show(feed, 1.0, numbered(2, (640, 480)), 2)
-    larger = reader_of(feed, 1.0).latest(first)
-    assert (larger.width, larger.pixels[0]) == (640, 2)
-    assert larger.number > first
-
-
 def test_a_damaged_frame_is_passed_over_and_an_error_in_the_marks_is_logged_and_the_next_picture_comes(feed, log):
-    reader = reader_of(feed)
-    show(feed, 0.0, numbered(error=DamagedFrameError("half of it is missing")), 1)
-    assert (reader.latest(), log) == (None, [])
-    show(feed, 1.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
-    show(feed, 2.0, numbered(), 1, adapter=SimpleNamespace(annotations=lambda made: {"x": float("nan")}))
-    show(feed, 3.0, numbered(), 3)
-    assert reader.latest().annotations == {"camera": 0, "sequence": 3}
-    assert ["ZeroDivisionError" in log[0], "ValueError" in log[1]] == [True, True]
+    replies = request(feed, 0.0)
+    show(feed, 0.0, error=DamagedFrameError("half of it is missing"))
+    assert (replies, log) == ([], [])
+    show(feed, 0.5, adapter=SimpleNamespace(annotations=lambda made: 1 / 0))
+    assert "ZeroDivisionError" in log[0]
+    show(feed, 0.9, 3)
+    assert replies[0]["annotations"] == {"camera": 0, "sequence": 3}
+
+
+def test_a_request_without_a_frame_is_refused(feed):
+    late, recent = request(feed, 0.0), request(feed, 0.5)
+    feed.refuse_late(1.1)
+    assert (late, recent) == ([{"ok": False, "error": "no picture comes"}], [])
+    show(feed, 1.2)
+    assert recent[0]["bytes"] == 32
 
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"

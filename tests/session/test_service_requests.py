@@ -85,21 +85,17 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(world, mo
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(unstarted, monkeypatch):
-    """Whether a frame is tracked or not; then the memory is given back."""
-    monkeypatch.setattr("spheremouse.session.picture_feed.LEASE", 0.3)
+def test_live_pictures_are_the_frames_with_their_marks_and_refused_if_no_frame_comes(unstarted, monkeypatch):
+    """Whether a frame is tracked or not."""
+    monkeypatch.setattr("spheremouse.session.picture_feed._MAX_WAIT_S", 0.3)
     world = unstarted
     world.start()
     for fault, state, status in (("hidden", "searching-targets", "searching"), ("", "tracking", "tracking")):
         world.fault = fault
         world.reach(state)
+        world.settle()
         with Client(world.socket) as client:
-            last = client.pictures(0.05).latest()
-            world.settle()
-            number = last.number if last else 0
-            world.until(lambda client=client, n=number: client.pictures(0.05).latest(n), "pictures")
-            picture = client.pictures(0.05).latest()
-            assert "spheremouse-pictures" in Path("/proc/self/maps").read_text()
+            picture = client.picture()
         place = world.shown[picture.stamp]
         assert picture.pixels == world.film.grey[place].tobytes()
         assert picture.annotations["status"] == status
@@ -107,7 +103,9 @@ def test_live_pictures_are_the_frames_with_their_marks_until_the_client_dies(uns
         assert (len(picture.annotations["outline"]) > 50) == (status == "tracking")
     assert [len(picture.annotations[key]) for key in ("targets", "strangers")] == [4, 0]
     assert sum(disc["used"] for disc in picture.annotations["detected"]) >= 3
-    world.until(lambda: "spheremouse-pictures" not in Path("/proc/self/maps").read_text(), "the memory is given back")
+    world.missing = "unplugged"
+    world.reach("no-camera")
+    assert world.refused("picture") == "no picture comes"
 
 
 @pytest.mark.slow

@@ -223,11 +223,6 @@ def world(films, rigs, tmp_path, quick_daemon):
     yield from quick_daemon(front)
 
 
-def note(picture, discs):
-    if picture is not None:
-        discs[picture.annotations["camera"]] = picture.annotations["predicted"]
-
-
 def said(world, *texts):
     world.until(lambda: all(text in world.said for text in texts), texts)
 
@@ -238,8 +233,8 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world, monkey
     world.reach("tracking")
     world.turn()
     assert [(each["trouble"], each["restarts"]) for each in world.ask("status")["cameras"]] == [("", 0)] * 2
-    reader, discs = world.client.pictures(0.03), {}
-    world.until(lambda: len(discs) == 2 or note(reader.latest(), discs), "pictures of both")
+    shown = [world.client.picture().annotations for _ in range(2)]
+    discs = {annotations["camera"]: annotations["predicted"] for annotations in shown}
     assert discs[0] != discs[1]
     world.missing = "unplugged"
     said(world, "camera 1: unplugged; the other goes on")

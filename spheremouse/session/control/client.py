@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import orjson
 
-from spheremouse.errors import ControlError, printable
+from spheremouse.errors import ControlError, one_line, printable
 from spheremouse.files import plain_json
 from spheremouse.files.config import key_of
 from spheremouse.session.control import socket_file
-from spheremouse.session.control.pictures import PictureReader
-from spheremouse.session.control.protocol import MAX_LINE
+from spheremouse.session.control.protocol import MAX_LINE, LivePicture
 from spheremouse.session.control.socket_file import peer_of
 from spheremouse.session.control.status import StatusReport
 
@@ -25,11 +24,12 @@ if TYPE_CHECKING:
 
 _RESTART = "if the daemon has another version, restart it"
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
-_TIMEOUTS_S = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
+_TIMEOUTS_S = {"status": 5.0, "watch": 5.0, "picture": 5.0}  # s; other commands may take the daemon a while
 _SIGN_OF_LIFE = 5.0  # s between two statuses, which show that the daemon works if no frame comes
 _CONNECT_TIMEOUT = 5.0  # s
 _MAX_SAMPLE_BRACKETS = 100  # opening ones; a sample has 20
 _DEFAULT_TIMEOUT_S = 65.0  # s; the daemon itself gives up after 60 s
+_MAX_PICTURE_BYTES = 1 << 28  # 8K in colour has 100 MB
 
 
 class NoDaemonError(ControlError):
@@ -48,8 +48,6 @@ class Client:
         self.path = path or socket_file.find_socket()  # of the socket
         self._socket: socket.socket | None = None
         self._received = bytearray()
-        self._memory: int | None = None  # descriptor that came with the last message
-        self._pictures: PictureReader | None = None
         self.dropped = 0  # samples that this client read too slowly
 
     def __enter__(self) -> Self:
@@ -73,9 +71,8 @@ class Client:
         """Disconnect. The next request connects again."""
         if self._socket is not None:
             self._socket.close()
-        self._socket, self._pictures = None, None
+        self._socket = None
         self._received.clear()
-        self._forget_memory()
 
     def ask(self, command: str, /, **arguments: Any) -> dict[str, Any]:
         """Return the daemon's reply without `ok`. RefusedError has the daemon's reason; NoDaemonError: none answers."""
@@ -113,20 +110,17 @@ class Client:
                 self.dropped = event.get("dropped", 0)
                 yield sample
 
-    def pictures(self, interval: float | None = None) -> PictureReader:
-        """Return a reader of live pictures, of which the daemon writes at most one each `interval` s.
-
-        The daemon stops 3 s after the last call. Call it each second: the reader that it returns is the same one,
-        unless the daemon has new memory.
-        """
-        reply = self.ask("pictures", interval=interval)
-        if reply.get("fresh") is True and self._memory is not None:
-            memory, self._memory = self._memory, None
-            self._pictures = PictureReader(memory)
-        if self._pictures is None:
+    def picture(self) -> LivePicture:
+        """Return the next frame as the camera sent it, with the tracker's marks. RefusedError if none comes."""
+        reply = self.ask("picture")
+        try:
+            size = reply.pop("bytes", None)
+            if not isinstance(size, int) or not 0 < size <= _MAX_PICTURE_BYTES:
+                raise ValueError("bytes: must be the size of the picture")
+            return LivePicture.model_validate({**reply, "pixels": self._receive_bytes(size)})
+        except ValueError as e:
             self.close()
-            raise NoDaemonError(f"{self.path}: the daemon gives no memory with pictures", "restart it")
-        return self._pictures
+            raise NoDaemonError(f"{self.path}: the answer is no picture ({one_line(str(e))})", _RESTART) from None
 
     def samples(self) -> "Iterator[Sample]":
         """Yield each sample of the run, as `sample_objects` does."""
@@ -163,40 +157,49 @@ class Client:
         return self._receive(timeout)
 
     def _receive(self, timeout: float) -> dict[str, Any]:
-        """Return the next message before the timeout; a file descriptor beside it becomes the shared memory."""
-        connection, deadline = self._connect(), time.monotonic() + timeout
+        """Return the next message before the timeout."""
+        deadline = time.monotonic() + timeout
         try:
             while (end := self._received.find(b"\n")) < 0:
-                connection.settimeout(max(deadline - time.monotonic(), 1e-3))  # one deadline for the whole line
-                data, files, *_ = socket.recv_fds(connection, MAX_LINE, 1, getattr(socket, "MSG_CMSG_CLOEXEC", 0))
-                if files:
-                    self._forget_memory()
-                    self._memory = files[0]
-                if not data:
-                    raise ConnectionResetError
-                self._received += data
-                if len(self._received) > 2 * MAX_LINE:
+                if len(self._received) > MAX_LINE:
                     raise ValueError
-            line = bytes(self._received[:end])
-            del self._received[: end + 1]
-            message = _parse(line)
+                self._read(timeout, deadline)  # one deadline for the whole line
+            message = _parse(self._take(end + 1))
             if not isinstance(message, dict):
                 raise ValueError
+        except ValueError:
+            self.close()
+            raise NoDaemonError(f"{self.path}: the program that answers is no daemon of spheremouse") from None
+        return message
+
+    def _receive_bytes(self, count: int) -> bytes:
+        """Return the bytes that follow a message."""
+        timeout = _TIMEOUTS_S["picture"]
+        deadline = time.monotonic() + timeout
+        while len(self._received) < count:
+            self._read(timeout, deadline)
+        return self._take(count)
+
+    def _read(self, timeout: float, deadline: float) -> None:
+        """Add bytes that come before the deadline. Raises NoDaemonError, and closes the connection, without any."""
+        connection = self._connect()
+        try:
+            connection.settimeout(max(deadline - time.monotonic(), 1e-3))
+            data = connection.recv(MAX_LINE)
+            if not data:
+                raise ConnectionResetError
         except TimeoutError:
             self.close()
             raise NoDaemonError(f"{self.path}: no answer within {timeout:g} s; does it hang?") from None
         except OSError:
             self.close()
             raise NoDaemonError(f"{self.path}: the daemon has ended or disconnected", _START) from None
-        except ValueError:
-            self.close()
-            raise NoDaemonError(f"{self.path}: the program that answers is no daemon of spheremouse") from None
-        return message
+        self._received += data
 
-    def _forget_memory(self) -> None:
-        if self._memory is not None:
-            os.close(self._memory)
-        self._memory = None
+    def _take(self, count: int) -> bytes:
+        taken = bytes(self._received[:count])
+        del self._received[:count]
+        return taken
 
     def _connect(self) -> socket.socket:
         if self._socket is not None:

@@ -10,9 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
-from spheremouse.errors import ControlError
 from spheremouse.session.control import socket_file
-from spheremouse.session.control.pictures import PictureRing
 from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, encode, refused
 
 
@@ -47,7 +45,6 @@ class Connection:
         self._events: deque[dict[str, Any]] = deque(maxlen=limits.events)
         self._samples: deque[bytes] = deque(maxlen=limits.samples)  # JSON objects
         self._dropped = 0  # samples
-        self._ring: PictureRing | None = None  # whose memory the client has
         writer.transport.set_write_buffer_limits(0)  # `drain` then waits until the system has all of it
 
     @property
@@ -84,24 +81,17 @@ class Connection:
             raise BadRequestError(f"a line of more than {MAX_LINE} bytes; send one JSON object a line") from None
 
     async def send(self, message: dict[str, Any]) -> None:
-        """Send a message. If the client does not read it, drop the client and raise TimeoutError.
+        """Send a message, and the `pixels` of a picture after its line.
 
-        The first message with a `ring` carries its memory.
+        If the client does not read them, drop the client and raise TimeoutError.
         """
-        ring, memory = message.pop("ring", None), None
-        if isinstance(ring, PictureRing) and ring is not self._ring:
-            try:
-                memory, self._ring, message = ring.duplicate(), ring, message | {"fresh": True}
-            except ControlError as e:
-                message = refused(str(e), message.get("id"))
+        pixels: bytes = message.pop("pixels", b"")
         try:
             line = encode(message)
         except ValueError as e:
-            text = f"{e}; {MAX_LINE} is the most"
+            text, pixels = f"{e}; {MAX_LINE} is the most", b""
             line = encode({"event": "log", "text": text} if "event" in message else refused(text, message.get("id")))
-        if memory is not None:
-            line = line[await self._send_memory(line, memory) :]
-        await self._write(line)
+        await self._write(line + pixels)
 
     async def send_next(self) -> None:
         """Send an event or else a sample, if one waits."""
@@ -113,25 +103,6 @@ class Connection:
             await self._write(line)
         else:
             self.has_events.clear()
-
-    async def _send_memory(self, line: bytes, memory: int) -> int:
-        """Send a descriptor with a line (SCM_RIGHTS), which streams of asyncio cannot. Return the bytes sent."""
-        try:
-            while not self._take_turn():  # another line is under way
-                await self._write(b"")
-            with self._socket.dup() as connection:
-                return socket.send_fds(connection, [line], [memory])
-        except BlockingIOError:  # the client does not read
-            self.drop()
-            raise
-        finally:
-            os.close(memory)
-
-    def _take_turn(self) -> bool:
-        """Return True if the system has all lines; then no other thread sends until `_write` has ended."""
-        with self._lock:
-            idle, self._idle = self._idle and not self._rest, False
-        return idle
 
     async def _write(self, line: bytes) -> None:
         with self._lock:

@@ -8,7 +8,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from spheremouse.session.control.pictures import LivePicture
+from spheremouse.session.control.protocol import LivePicture
 
 _QUALITY = 80  # discs of 5 px stay sharp
 _AROUND_TARGET = 2.0  # radii of a target that a masked picture shows
@@ -38,7 +38,7 @@ class JpegPicture:
         """JPEG of the whole picture. One of the camera is passed on as it is."""
         picture = self.picture
         if picture.format == "jpeg":
-            return bytes(picture.pixels)
+            return picture.pixels
         if picture.format in ("yuyv", "nv12"):
             return simplejpeg.encode_jpeg_yuv_planes(*_planes(picture), quality=_QUALITY, fastdct=True)
         return encode_jpeg(_pixels(picture))
@@ -47,7 +47,7 @@ class JpegPicture:
     def masked(self) -> bytes:
         """JPEG of ball and targets alone; all else is black. Empty if the camera's picture is damaged."""
         try:
-            return encode_jpeg(mask(_pixels(self.picture), self.picture.annotations or {}))
+            return encode_jpeg(mask(_pixels(self.picture), self.picture.annotations))
         except ValueError:
             return b""
 

@@ -5,7 +5,7 @@ The tests play the examples of that page.
 
 import json
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic_core import to_jsonable_python
@@ -17,7 +17,6 @@ from spheremouse.files.yaml import Document
 
 MAX_LINE = 65536  # bytes of a message, with its end of line
 MAX_MARKS = 500  # brackets, braces and commas in a request: parsing JSON holds the interpreter, 0.1 ms a thousand
-LEASE = 3.0  # s after the last request for live pictures, in which the daemon writes them
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 Id = str | int
@@ -104,12 +103,6 @@ class Watch(Request):
     samples: bool = Field(default=False, description="true sends the samples of each frame")
 
 
-class Pictures(Request):
-    """Have the daemon write live pictures for `LEASE` s, at most one each `interval` s; or go on."""
-
-    interval: float = Field(default=1 / 15, ge=0.03, le=1.0, description="the default is 1/15 s")
-
-
 class Replay(Request):
     """Set what is given of a replay: the speed, and the section from `begin` to `end` in s after the first frame."""
 
@@ -122,14 +115,13 @@ class Replay(Request):
 
 
 _REQUESTS: dict[str, type[Request]] = {
-    **dict.fromkeys(("status", "settings", "scene", "reinit", "pause", "resume", "reload", "stop"), Request),
+    **dict.fromkeys(("status", "settings", "scene", "picture", "reinit", "pause", "resume", "reload", "stop"), Request),
     "set": Set,
     "profile": Profile,
     "save": Save,
     "record": Record,
     "snapshot": Snapshot,
     "watch": Watch,
-    "pictures": Pictures,
     "replay": Replay,
 }
 COMMANDS = tuple(_REQUESTS)
@@ -178,6 +170,18 @@ def _is_id(value: Any) -> bool:
 
 
 # ---- replies ----
+
+
+class LivePicture(BaseModel):
+    """A frame as the camera sent it, with the tracker's marks. Raises ValidationError for other values."""
+
+    model_config = ConfigDict(strict=True, frozen=True, defer_build=True)
+    stamp: float  # s, mid-exposure, on the source's own clock
+    format: Literal["jpeg", "yuyv", "nv12", "grey", "bgr"]
+    width: int  # px
+    height: int  # px
+    annotations: dict[str, Any]  # described in docs/control.md
+    pixels: bytes  # rows without padding, or a JPEG file
 
 
 def done(reply: dict[str, Any], id_: Id | None = None) -> dict[str, Any]:

@@ -1,15 +1,12 @@
 """The client, and the messages that are none."""
 
 import contextlib
-import gc
 import json
 import math
-import os
 import socket
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -22,13 +19,12 @@ from invoking import refusal
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
-from spheremouse.session.control.pictures import LivePicture, PictureRing
 from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, encode, parse
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.status import StatusReport
 from spheremouse.session.settings import ControlSettings
 
-PICTURE = LivePicture(1, 12.5, "grey", 4, 2, b"12345678", {"sequence": 7})
+PICTURE = {"stamp": 12.5, "format": "grey", "width": 1000, "height": 900, "annotations": {"sequence": 7}}
 
 
 def test_the_client_says_what_is_wrong(path):
@@ -94,43 +90,31 @@ def test_the_client_sees_the_daemon_end(path):
                 pass
 
 
-def test_a_client_gets_the_memory_with_pictures_once_and_again_when_it_was_replaced(path):
-    """In another process than the daemon, which has the descriptor too; nothing stays open."""
-    rings, before = [PictureRing(100)], len(os.listdir("/proc/self/fd"))
-    with ControlServer(path, ControlSettings(), lambda p: p.answer({"slots": 3, "ring": rings[-1]})):
-        with Client(path) as client, Client(path) as other:
-            reader = client.pictures(0.1)
-            assert client.pictures() is reader
-            rings[0].write(PICTURE)
-            assert reader.latest() == other.pictures().latest() == PICTURE
-            rings.append(PictureRing(100))
-            rings[1].write(replace(PICTURE, number=2))
-            assert client.pictures().latest() == replace(PICTURE, number=2)
-            client.ask("status")  # whose reply the reader's memory does not disturb
-            client.close()
-            assert client.pictures().latest() == replace(PICTURE, number=2)
-        for ring in rings:
-            ring.close()
-        with Client(path) as client, pytest.raises(RefusedError, match="ask again"):
-            client.pictures()
-    del reader
-    gc.collect()
-    assert len(os.listdir("/proc/self/fd")) < before
+def test_a_picture_follows_its_line_and_the_connection_goes_on(path):
+    """Larger than the system's buffer; samples of the same client wait meanwhile."""
+    pixels = bytes(range(250)) * 3600
+
+    def handle(pending):
+        picture = pending.request.command == "picture"
+        pending.answer(PICTURE | {"bytes": len(pixels), "pixels": pixels} if picture else a_status())
+
+    with ControlServer(path, ControlSettings(), handle), Client(path) as client:
+        for _ in range(2):
+            assert client.picture().model_dump() == PICTURE | {"pixels": pixels}
+            assert client.status() == StatusReport.read(a_status())
 
 
-def test_a_daemon_that_gives_no_memory_is_refused(path):
-    with (
-        ControlServer(path, ControlSettings(), lambda p: p.answer({"slots": 3, "fresh": True})),
-        Client(path) as client,
-        pytest.raises(NoDaemonError, match="gives no memory with pictures"),
-    ):
-        client.pictures()
+@pytest.mark.parametrize("wrong", [{"bytes": None}, {"bytes": 1 << 40}, {"width": "wide"}, {"format": "gif"}])
+def test_what_is_no_picture_is_refused(stranger, wrong):
+    said = json.dumps(PICTURE | {"ok": True, "bytes": 3} | wrong).encode() + b"\nabc"
+    with stranger(said) as client, pytest.raises(NoDaemonError, match="the answer is no picture"):
+        client.picture()
 
 
 def test_the_modules_of_a_client_load_no_kernels():
     """A page or tray then needs a tenth of the tracker's memory."""
     code = """import sys
-from spheremouse.session.control import client, pictures, protocol, socket_file, status
+from spheremouse.session.control import client, protocol, socket_file, status
 from spheremouse.files import plain_json
 print(*sorted({"scipy", "cv2", "numpy"} & set(sys.modules)))"""
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -55,6 +55,7 @@ def test_the_examples_of_the_description_are_what_happens(serve, path):
                 if expected.get("event") == "log":
                     server.publish(expected)
                 assert wire.read() == expected
+                wire.lines.read(expected.get("bytes", 0))  # of a picture
     assert played >= set(protocol.COMMANDS)
 
 

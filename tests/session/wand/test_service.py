@@ -148,9 +148,7 @@ def test_status_tells_where_the_ball_is(playing):
 def test_live_pictures_and_the_scene_show_the_ball(playing):
     """The outline lies around the ball's true place, and the discs within it."""
     with Client(playing.socket) as client:
-        reader = client.pictures(0.05)
-        playing.until(reader.latest, "a picture")
-        picture, scene = reader.latest(), client.ask("scene")
+        picture, scene = client.picture(), client.ask("scene")
     outline = np.array(picture.annotations["outline"])
     true = project(playing.position[[playing.shown[picture.stamp]]], playing.scene.camera)[0][0]
     radius = np.linalg.norm(outline - outline.mean(axis=0), axis=1).mean()
