@@ -13,7 +13,7 @@ from spheremouse.calibrate.camera.coverage import VIEWS, missing
 from spheremouse.calibrate.photographing.board import BoardSelector
 from spheremouse.calibrate.photographing.device import DeviceSelector
 from spheremouse.calibrate.photographing.session import take_photos
-from spheremouse.errors import CalibrationError, SourceError
+from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.ball.stills import StillsOptions, device_picture, photos, prepare_stills
@@ -69,17 +69,6 @@ def test_each_view_is_kept_once_and_a_session_goes_on_where_it_was(tmp_path, pic
     outcome, lines = taken(film(pictures[1:3]), folder)
     assert lines[1:] == [f"{folder}: goes on with 1 photos", "view_001.png", "view_002.png"]
     assert (folder / "view_000.png").read_bytes() == before["view_000.png"]
-
-
-def test_photos_stay_when_the_camera_goes(tmp_path, pictures):
-    def ending():
-        yield from film(pictures[:1])
-        raise SourceError("the camera is gone")
-
-    outcome, lines = taken(ending(), tmp_path)
-    assert isinstance(outcome.failure, SourceError)
-    assert (outcome.selector.count, lines) == (1, ["view_000.png"])
-    assert np.array_equal(cv2.imread(str(tmp_path / "view_000.png")), pictures[0])
 
 
 def test_the_hindrance_of_most_frames_is_in_the_outcome(tmp_path, pictures):
