@@ -34,6 +34,7 @@ _VIEW_INTERVAL = 0.5  # s
 _MAX_VIEWS, _MAX_COLOUR_VIEWS = 240, 30
 _MAX_FEATURES = 150  # places in the room, for the check that the camera stood still
 _MAX_SHIFT = 0.5  # px; a larger one is that of a camera that was moved
+_POLARITIES: tuple[tuple[Literal["dark", "light"], Projection], ...] = (("dark", GREY), ("light", NEGATIVE))
 
 
 @dataclass(slots=True)
@@ -89,28 +90,14 @@ def solve(
     the ball's, or None to take it from the images. `progress` wraps the frames of each pass. After three passes, the
     last result counts. Raises CalibrationError if the recording does not determine it.
     """
-    views, found, start_s, polarity = _ball_found(footage, camera, progress)
+    views, settings, (rolled, tracked, rig) = _begin(footage, camera, readout, progress)
     assert views.first is not None
-    _check_still(views, found, camera)
-    settings = Settings(discs=DiscSettings(polarity=polarity))
-
-    def adjusted(
-        rig: Rig, at: RollingStart | Rolling, seconds: float | None
-    ) -> tuple[RollingAdjustment, TrackedRolling, Rig]:
-        """Track and adjust; the rig gets the fitted size of the discs."""
-        frames = progress("tracking" if seconds is None else "first tracking", footage(seconds))
-        tracked = track_rolling(frames, rig, provisional_pose(at.direction, at.ratio), settings)
-        rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
-        return rolled, tracked, replace(rig, disc_radius=rig.disc_angle * tracked.size)
-
-    rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
-    rolled, tracked, rig = adjusted(rig, found, start_s)
     given = disc_angle(rolled, views)
     rig = rig if given is None else replace(rig, disc_radius=given)
     for _ in range(3):
         before = rolled.rolling
         try:
-            rolled, tracked, refined_rig = adjusted(rig, before, seconds=None)
+            rolled, tracked, refined_rig = _adjusted(progress("tracking", footage(None)), rig, before, settings)
         except CalibrationError as e:
             if given is None:
                 raise
@@ -127,17 +114,34 @@ def solve(
     return Solution(rolled, tracked, rig.disc_angle, views, views.last - views.first)
 
 
-def _ball_found(
-    footage: Footage, camera: InteriorOrientation, progress: Progress
-) -> tuple[Views, RollingStart, float | None, Literal["dark", "light"]]:
-    """Find the ball by dark discs, or else by light ones; of two failures raise the first."""
-    try:
-        return *_first_pass(footage, camera, progress, GREY), "dark"
-    except CalibrationError as e:
+Adjusted = tuple[RollingAdjustment, TrackedRolling, Rig]  # the rig with the fitted size of the discs
+
+
+def _begin(
+    footage: Footage, camera: InteriorOrientation, readout: tuple[float, float], progress: Progress
+) -> tuple[Views, Settings, Adjusted]:
+    """Find and track the ball by dark discs, or else by light ones; of two failures raise the first.
+
+    What lies between light discs is dark, and may pass for discs until it is tracked.
+    """
+    failed: list[CalibrationError] = []
+    for polarity, projection in _POLARITIES:
+        settings = Settings(discs=DiscSettings(polarity=polarity))
         try:
-            return *_first_pass(footage, camera, progress, NEGATIVE), "light"
-        except CalibrationError:
-            raise e from None
+            views, found, seconds = _first_pass(footage, camera, progress, projection)
+            _check_still(views, found, camera)
+            rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
+            return views, settings, _adjusted(progress("first tracking", footage(seconds)), rig, found, settings)
+        except CalibrationError as e:
+            failed.append(e)
+    raise failed[0]
+
+
+def _adjusted(frames: Iterator[Frame], rig: Rig, at: RollingStart | Rolling, settings: Settings) -> Adjusted:
+    """Track the discs and adjust."""
+    tracked = track_rolling(frames, rig, provisional_pose(at.direction, at.ratio), settings)
+    rolled = adjust_rolling(tracked.sightings, tracked.rolling, rig.camera, rig.readout_sigma_s)
+    return rolled, tracked, replace(rig, disc_radius=rig.disc_angle * tracked.size)
 
 
 def _first_pass(
