@@ -27,7 +27,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Estimate, Event, Frame, Status
 
 _MOVED_FRAMES = 2  # in a row: one may show a false edge
-_SAMPLED_ROWS = 8
+_SAMPLED_ROWS = 32  # a disc of 15 px crosses one at 480 rows
 _NO_TRACK = np.zeros(0, dtype=np.intp)
 RECENT_S = 0.15  # s, for which a camera's last frame counts beside those of another: five frames at 30 Hz
 SURE = 10  # sightings from which a disc is worth keeping
@@ -358,5 +358,7 @@ class Epoch:
 
     @property
     def used(self) -> Array:
-        """(k, 2) px, centres of the discs that took part in the filter's update."""
+        """(k, 2) px, centres of the discs that took part in the filter's update; none for a picture that came again."""
+        if self.state.picture.repeats > 0:
+            return np.zeros((0, 2))
         return self.state.detections.centre[self.state.points.index[self.state.filter.used]]

@@ -68,7 +68,8 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 def with_blur(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     """Return the state after a measurement of the lens's blur, if one is due. A picture without edges shows none."""
     colours, stamp = state.colours, frame.stamp
-    if not tracker.detector.uses_colours or colours.blur_tried <= stamp < colours.blur_tried + colours.blur_wait:
+    measures = tracker.detector.uses_colours and tracker.method.keeps_map  # the published filters measure no blur
+    if not measures or colours.blur_tried <= stamp < colours.blur_tried + colours.blur_wait:
         return state
     colours, blur = colours._replace(blur_tried=stamp), tracker.detector_data.lens_blur(frame.image)
     if blur is not None:
