@@ -7,14 +7,12 @@ pressed; games recognise a gamepad by them.
 Name and ids never change: name "spheremouse gamepad", bus 0x06 (virtual), vendor 0x5350, product 0x4d32, version 1.
 """
 
-import contextlib
-import threading
+import time
 from typing import Any
 
-from spheremouse.errors import OutputError
 from spheremouse.finding import Finding
 from spheremouse.output import Output, Report, uinput
-from spheremouse.output.deflection import Watchdog, pointer_rate
+from spheremouse.output.deflection import CHECK_PERIOD, RELEASE_TIME, pointer_rate
 from spheremouse.output.response import STICK_RESPONSE, Response, parse_response
 
 NAME = "spheremouse gamepad"
@@ -48,32 +46,33 @@ class Gamepad(Output):
     """The kernel's gamepad."""
 
     blocks = False
+    period = CHECK_PERIOD
 
     def __init__(self, device: Any, response: Response) -> None:
-        self._device, self._response, self._lock = device, response, threading.Lock()
-        self._watchdog = Watchdog(self._release)
+        self._device, self._response = device, response
+        self._sticks, self._confirmed = _CENTRE, 0.0  # s, monotonic, the last time
 
     def send(self, report: Report) -> None:
         """Move the sticks. Without a confirmed frame they keep their positions, for 0.3 s at most."""
-        sticks = to_sticks(report, self._response)
-        if sticks is None:
-            return
-        self._watchdog.feed()
-        self._move(sticks)
-
-    def _move(self, sticks: Sticks) -> None:
-        with self._lock:
-            events = tuple(zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True))
-            uinput.write_events("gamepad", self._device, EV_ABS, events)
-
-    def _release(self) -> None:
-        with contextlib.suppress(OutputError):  # the next report raises it
+        sticks, now = to_sticks(report, self._response), time.monotonic()
+        if sticks is not None:
+            self._confirmed = now
+            self._move(sticks)
+        elif now > self._confirmed + RELEASE_TIME:
             self._move(_CENTRE)
 
     def close(self) -> None:
-        self._watchdog.close()
-        self._release()
-        self._device.close()
+        """Centre the sticks, and remove the device."""
+        try:
+            self._move(_CENTRE)
+        finally:
+            self._device.close()
+
+    def _move(self, sticks: Sticks) -> None:
+        if sticks != self._sticks:
+            events = tuple(zip((ABS_X, ABS_Y, ABS_RX), sticks, strict=True))
+            uinput.write_events("gamepad", self._device, EV_ABS, events)
+            self._sticks = sticks
 
 
 def open(argument: str) -> Gamepad:

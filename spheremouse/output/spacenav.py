@@ -13,7 +13,6 @@ import errno
 import os
 import socket
 import struct
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from pathlib import Path
 from spheremouse.errors import OutputError
 from spheremouse.finding import Finding, absent, ok
 from spheremouse.output import Output, Report
-from spheremouse.output.deflection import Watchdog, pointer_rate
+from spheremouse.output.deflection import CHECK_PERIOD, RELEASE_TIME, pointer_rate
 from spheremouse.output.line_server import Client, Server
 from spheremouse.output.response import STICK_RESPONSE, Response, parse_response
 
@@ -95,36 +94,36 @@ class SpaceNav(Server[_Client], Output):
     """Turns the objects of libspnav's clients, over a UNIX socket."""
 
     blocks = False
+    period = CHECK_PERIOD
 
     def __init__(self, path: Path, response: Response) -> None:
         self._path, self._response = path, response
-        self._turning, self._moving, self._last = threading.Lock(), False, time.monotonic()
+        self._moving, self._last, self._confirmed = False, time.monotonic(), 0.0  # s, monotonic
         super().__init__("spacenav", _listen(path), _Client)
-        self._watchdog = Watchdog(lambda: self._turn(_NO_DEFLECTION))
 
     def send(self, report: Report) -> None:
         """Send the rotation to each client. Without a confirmed frame the last one stays, for 0.3 s at most."""
-        rotation = to_rotation(report, self._response)
+        rotation, now = to_rotation(report, self._response), time.monotonic()
         if rotation is not None:
-            self._watchdog.feed()
+            self._confirmed = now
             self._turn(rotation)
             self.blocks = self.has_many_clients
+        elif now > self._confirmed + RELEASE_TIME:
+            self._turn(_NO_DEFLECTION)
 
     def close(self) -> None:
         """End the motion and the connections, and remove the socket."""
-        self._watchdog.close()
         self._turn(_NO_DEFLECTION)
         super().close()
         self._path.unlink(missing_ok=True)
 
     def _turn(self, rotation: list[float]) -> None:
         """Send rx, ry and rz, (3,) units, to each client; those of rest only once."""
-        with self._turning:
-            if any(rotation) or self._moving:
-                now = time.monotonic()
-                period, self._last = min(round(1000.0 * (now - self._last)), 2**31 - 1), now
-                self.broadcast(lambda client: client.event(rotation, period))
-            self._moving = any(rotation)
+        if any(rotation) or self._moving:
+            now = time.monotonic()
+            period, self._last = min(round(1000.0 * (now - self._last)), 2**31 - 1), now
+            self.broadcast(lambda client: client.event(rotation, period))
+        self._moving = any(rotation)
 
 
 def open(argument: str) -> SpaceNav:

@@ -3,13 +3,14 @@
 import contextlib
 import os
 import struct
-import threading
+import time
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from reporter_world import World
 from reporting import refused, rolling, until
 from scipy.spatial.transform import Rotation
 from seats import LOOKS
@@ -17,7 +18,7 @@ from seats import LOOKS
 from spheremouse.geometry.camera import Pose
 from spheremouse.output import Report, full_spec, gamepad, response_of
 from spheremouse.output.counts import MotionSettings, OutputCounter
-from spheremouse.output.deflection import Watchdog, pointer_rate
+from spheremouse.output.deflection import pointer_rate
 from spheremouse.output.response import COUNTS_RESPONSE, Response
 from spheremouse.output.sample import Sample
 from spheremouse.tracker import Status
@@ -65,14 +66,15 @@ def test_the_sticks_follow_the_hand_of_each_player(player):
     assert made == {"right": (16384, 0, 0), "away": (0, -16384, 0), "clockwise": (0, 0, 16384)}
 
 
-def test_the_sticks_are_centred_when_reports_stop_and_at_the_end():
+def test_the_sticks_are_centred_when_reports_stop_and_at_the_end(start):
     device = Device()
-    with gamepad.Gamepad(device, Response()) as output:
-        for _ in range(2):
-            output.send(rolling([0, -9, 0]))
-            assert len(device.axes) == 3
-            until(lambda: sticks(device) == (0, 0, 0))
-        output.send(rolling([0, -9, 0]))
+    reporter, _ = start(World(), open_it=lambda: gamepad.Gamepad(device, Response()))
+    for _ in range(2):
+        reporter.submit(rolling([0, -9, 0]), time.monotonic())
+        until(lambda: any(sticks(device)))
+        until(lambda: sticks(device) == (0, 0, 0))
+    reporter.submit(rolling([0, -9, 0]), time.monotonic())
+    reporter.close()
     assert sticks(device) == (0, 0, 0)
     assert device.closed
 
@@ -112,25 +114,9 @@ def test_the_scale_of_the_pointer_changes_no_deflection_and_its_inversion_does(w
 
 
 def test_a_ball_that_is_lost_has_no_rate_and_one_that_is_hidden_keeps_its_own():
-    assert pointer_rate(rolling([1.0, 0.0, 0.0], confirmed=False)) is None
-    for report in (rolling([1.0, 0.0, 0.0], status=Status.LOST), rolling([1.0, 0.0, 0.0])._replace(samples=())):
-        assert pointer_rate(report) == pytest.approx([0.0, 0.0, 0.0], abs=0.0)
-
-
-def test_a_watchdog_releases_once_after_the_last_feed_and_not_if_it_is_closed():
-    released = threading.Semaphore(0)
-    watchdog = Watchdog(released.release, timeout=0.01)
-    for _ in range(3):
-        watchdog.feed()
-        assert released.acquire(timeout=10)
-        assert not released.acquire(timeout=0.05)
-    watchdog.close()
-    for timeout, feeds in ((60.0, 1), (0.0, 0)):
-        watchdog = Watchdog(released.release, timeout)
-        for _ in range(feeds):
-            watchdog.feed()
-        watchdog.close()
-    assert not released.acquire(blocking=False)
+    for report in (rolling([1.0, 0.0, 0.0], confirmed=False), rolling([1.0, 0.0, 0.0])._replace(samples=())):
+        assert pointer_rate(report) is None
+    assert pointer_rate(rolling([1.0, 0.0, 0.0], status=Status.LOST)) == [0.0, 0.0, 0.0]
 
 
 RESPONSES = st.builds(Response, full=st.floats(1.0, 1e4), dead=st.floats(0.0, 0.9), curve=st.floats(0.2, 5.0))

@@ -20,6 +20,7 @@ from seats import LOOKS
 
 from spheremouse.output import Report, line_server, open_output, spacenav
 from spheremouse.output.counts import MotionSettings
+from spheremouse.output.deflection import RELEASE_TIME
 from spheremouse.output.response import Response
 from spheremouse.output.wand_mapping import PointingSettings, WandMapping
 from spheremouse.tracker import Status
@@ -123,13 +124,14 @@ def check_object(report, w):
 @needs_libspnav
 def test_one_event_of_zeros_ends_a_motion(path):
     with open_output(f"spacenav:{path}") as output, libspnav(path) as next_event:
-        for end in (rolling([0, 0, 0]), rolling([0, 1, 0], status=Status.LOST), None):
+        ends = (rolling([0, 0, 0]), rolling([0, 1, 0], status=Status.LOST), Report((0, 0, 0), None, 0.0))
+        for wait, end in zip((0.0, 0.0, 1.1 * RELEASE_TIME), ends, strict=True):  # at last no frame comes
             output.send(rolling([0, 1, 0]))
             assert rotation(next_event())[1] > 0
-            if end is not None:
-                output.send(end)
-                output.send(end)
-            assert rotation(next_event()) == [0, 0, 0]  # None: reports stop
+            time.sleep(wait)
+            output.send(end)
+            output.send(end)
+            assert rotation(next_event()) == [0, 0, 0]
         time.sleep(0.05)
         assert SPNAV.spnav_poll_event(ctypes.byref(Event())) == 0
 
