@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.settings import Settings
-from spheremouse.errors import ConfigurationError, ControlError, SpheremouseError
+from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files import config, exchange
 from spheremouse.files.config import key_of
 from spheremouse.files.validate import nearest
@@ -249,14 +249,10 @@ class ConfigReloader:
             raise ControlError(problem, "start again without that option")
 
         def write() -> None:
-            try:
-                exchange.save(path, changes)
-            except ConfigurationError as e:
-                pending.answer(refused(str(e)))
-            else:
-                self._call(lambda: pending.attempt(lambda: self._finish_save(path, changes, pending)))
+            exchange.save(path, changes)
+            self._call(lambda: pending.attempt(lambda: self._finish_save(path, changes, pending)))
 
-        self._workers.submit(READING, write)
+        self._workers.submit(READING, lambda: pending.attempt(write))
 
     def _finish_save(self, path: Path, changes: tuple[str, ...], pending: PendingRequest) -> None:
         """Count the changes as read from the file."""

@@ -13,12 +13,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.session.control.status import RecordingStatus
-from spheremouse.session.overlay.pen import Image
+from spheremouse.session.overlay.pen import Image, masked
 from spheremouse.session.record.places import disk_is_full, lock, made_folder, refuse_full_disk
 from spheremouse.session.settings import RecordSettings
 from spheremouse.session.tracker_adapter import Subject
@@ -62,13 +61,10 @@ class Recorder:
             self._film.discard()
             raise
         self._frame_bytes = 3 * camera.width * camera.height
-        self._free: queue.SimpleQueue[_Buffer] = queue.SimpleQueue()
-        self._full: queue.SimpleQueue[_Buffer | None] = queue.SimpleQueue()
-        for _ in range(min(max(int(_MAX_QUEUED_BYTES / self._frame_bytes), 4), 64)):
-            self._free.put(_Buffer(self._frame_bytes))
+        self._frames: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
+        self._max_queued = min(max(int(_MAX_QUEUED_BYTES / self._frame_bytes), 4), 64)
         self._view = subject.view  # of the last frame; `_subject` is that of the first
         self._keep: Image | None = None
-        self._masks = 0  # different ones so far
         self.active = True  # until it is stopped or has ended
         self.open = self._taken = False
         self._dropped = self._bytes = 0
@@ -84,21 +80,19 @@ class Recorder:
         if frame.image.shape[1::-1] != self._size_px or not np.isfinite(frame.stamp):
             self._dropped += 1
             return False
-        keep, number = self._mask(subject)
-        try:
-            buffer = self._free.get_nowait()
-        except queue.Empty:
+        keep = self._mask(subject)
+        if self._frames.qsize() >= self._max_queued:
             self._dropped += 1
             return False
-        buffer.take(frame, keep, number)
-        self._full.put(buffer)
+        image = frame.image.copy() if keep is None else masked(frame.image, keep)
+        self._frames.put(Frame(image, frame.stamp, frame.sequence))
         self._taken = True
         return True
 
     def stop(self) -> None:
         """Take no more frames. `write` returns when those taken are written."""
         self.active = False
-        self._full.put(None)
+        self._frames.put(None)
 
     def status(self) -> RecordingStatus:
         """Return the progress, from any thread."""
@@ -128,28 +122,25 @@ class Recorder:
         length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
         return f"{self._folder}: {length}; {reason}"
 
-    def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
-        """Return the part of a frame to keep, and the number of its mask.
+    def _mask(self, subject: Subject | None) -> Image | None:
+        """Return the part of a frame to keep; None: all of it.
 
         After a move of the camera, keep the parts of both poses. The tracker read the frame with the old pose and then
         with the new one.
         """
-        keep, number = self._keep, self._masks
+        keep = self._keep
         if subject is None or subject.view is self._view:
-            return keep, number
+            return keep
         self._view = subject.view
         if not self._taken:
             self._subject = subject
         if keep is None:
-            return keep, number
+            return None
         try:
             self._keep = subject.kept()
         except SpheremouseError:  # the ball is out of the picture: keep no more of it than before
-            return keep, number
-        self._masks += 2
-        if not self._taken:
-            return self._keep, self._masks
-        return np.asarray(cv2.bitwise_or(keep, self._keep), dtype=np.uint8), self._masks - 1
+            return keep
+        return keep | self._keep if self._taken else self._keep
 
     def _scene(self) -> dict[str, Any]:
         kept = "everything" if self._settings.everything else f"{self._subject.parts}; the rest is black"
@@ -167,13 +158,13 @@ class Recorder:
         seconds = self._settings.seconds
         while True:
             try:
-                buffer = self._full.get(timeout=_CHECK_INTERVAL_S)
+                frame = self._frames.get(timeout=_CHECK_INTERVAL_S)
             except queue.Empty:
                 if self._clock() - self._begun >= seconds:
                     return f"ended after {seconds:g} s"
                 continue
             now = self._clock()
-            if buffer is None:
+            if frame is None:
                 time_is_over = now - self._begun >= seconds
                 return f"ended after {seconds:g} s" if time_is_over else "ended as asked"
             self._bytes = self._film.size()
@@ -183,29 +174,5 @@ class Recorder:
                 looked = now
                 if disk_is_full(self._folder.parent, self._settings, _MAX_UNWRITTEN_VIDEO_BYTES):
                     return f"ended: less than {self._settings.free_megabytes:g} MB are free on the disk"
-            assert buffer.frame is not None
-            self._film.add(buffer.frame)
+            self._film.add(frame)
             self._last = now
-            self._free.put(buffer)
-
-
-class _Buffer:
-    """Memory for one frame, which is reused."""
-
-    def __init__(self, size: int) -> None:
-        self._bytes = np.zeros(size, np.uint8)
-        self._shown: tuple[int, ...] = ()
-        self.frame: Frame | None = None
-
-    def take(self, frame: Frame, keep: Image | None, number: int) -> None:
-        """Copy the kept part of a frame; `number` is that of its mask."""
-        shape = frame.image.shape
-        image: NDArray[np.uint8] = self._bytes[: frame.image.size].reshape(shape)
-        if keep is None:
-            np.copyto(image, frame.image)
-        else:
-            if self._shown != (number, *shape):  # parts kept by another mask must not show
-                self._bytes[:] = 0
-                self._shown = (number, *shape)
-            cv2.copyTo(frame.image, keep, image)
-        self.frame = Frame(image, frame.stamp, frame.sequence)
