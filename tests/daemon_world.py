@@ -31,7 +31,7 @@ from spheremouse.session.live_run import LiveRun
 from spheremouse.session.run_config import CommandLineOverrides, RunConfig, read_run_config
 from spheremouse.session.service import Daemon
 from spheremouse.session.setup import Setup
-from spheremouse.simulate.ball.profile import Gesture, Gestures, SeenFrom
+from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.tracker import Frame
@@ -81,8 +81,7 @@ class Film:
             Gesture(1.5 * s, 2.2 * s, (0.0, 1.0, 0.0), -1.3 * s),
             Gesture(2.8 * s, 2.2 * s, (0.9746794344808964, 0.0, -0.22360679774997896), 1.8 * s),
         )
-        rng, profile = np.random.default_rng(0), Gestures(gestures, seconds)
-        profile = profile if aside is None else SeenFrom(profile, aside.T)
+        rng, profile = np.random.default_rng(0), Gestures(gestures, seconds, None if aside is None else aside.T)
         renderer = Renderer(scene)
         made = [renderer.frame(profile, seconds * k / (length - 1), k, rng) for k in range(rendered or length)]
         colour = [m.frame.image for m in made]

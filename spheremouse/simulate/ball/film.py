@@ -11,7 +11,7 @@ from spheremouse.settings import option_name
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, HandVisit, Lift, Sway, bump, facing, move_disc
 from spheremouse.simulate.ball.options import Named, SimulationOptions, check_bounds
 from spheremouse.simulate.ball.pattern import Pattern
-from spheremouse.simulate.ball.profile import TURN_SECONDS, Profile, SeenFrom, profile_of
+from spheremouse.simulate.ball.profile import TURN_SECONDS, Profile, profile_of
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
 from spheremouse.simulate.ball.scene import BLACK, WHITE_BALL, Scene, default_scene
 from spheremouse.simulate.light import reflectance
@@ -89,7 +89,7 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
         return film
     back = film.turn.T
     lifts = tuple(replace(lift, shift=tuple(back @ lift.shift)) for lift in effects.lifts)
-    return replace(film, profile=SeenFrom(profile, back), options=replace(effects, lifts=lifts))
+    return replace(film, profile=replace(profile, turn=back), options=replace(effects, lifts=lifts))
 
 
 def simulate(simulation: Simulation) -> Iterator[SimulatedFrame]:

@@ -36,24 +36,6 @@ class Profile(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class SeenFrom:
-    """A motion in the axes of another camera."""
-
-    profile: Profile
-    rotation: Array  # (3, 3) into those axes
-
-    @property
-    def seconds(self) -> float:
-        return self.profile.seconds
-
-    def attitude(self, t: Array) -> Array:
-        return self.rotation @ self.profile.attitude(t)
-
-    def rate(self, t: Array) -> Array:
-        return self.profile.rate(t) @ self.rotation.T
-
-
 # ---- gestures ----
 
 
@@ -104,6 +86,7 @@ class Gestures:
 
     gestures: tuple[Gesture | Swing, ...]  # by start time
     seconds: float  # s
+    turn: Array | None = None  # (3, 3) from `obj` to the axes of another camera, which sees this motion; None: obj
     _before: Array = field(init=False, repr=False)  # (n + 1, 3, 3) product of the first k gestures, all finished
 
     def __post_init__(self) -> None:
@@ -134,7 +117,7 @@ class Gestures:
             turn = exp(angle[:, None] * np.array(g.axis))
             R = turn @ R
             w = (turn @ w[..., None])[..., 0] + speed[:, None] * np.array(g.axis)
-        return R, w
+        return (R, w) if self.turn is None else (self.turn @ R, w @ self.turn.T)
 
 
 def _parabolas(times: tuple[float, ...], degrees: tuple[float, ...]) -> CubicHermiteSpline:
@@ -262,7 +245,7 @@ def play(seconds: float, rng: np.random.Generator) -> Gestures:
     return Gestures(tuple(sorted(gestures, key=lambda g: g.start)), seconds)
 
 
-def profile_of(options: SimulationOptions) -> Profile:
+def profile_of(options: SimulationOptions) -> Gestures:
     """Return the motion that the options select."""
     if options.motion == "roll":
         return roll(options.turns, options.seconds)
