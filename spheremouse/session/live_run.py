@@ -161,7 +161,7 @@ class LiveRun:
             closing.callback(self.adapter.close)
             closing.callback(self.workers.end, RECORDING, SNAPSHOT, MAP, OUTPUT)
             closing.callback(self.archive.close)
-            closing.callback(self.pictures.refuse_late, math.inf)
+            closing.callback(self.pictures.refuse_late, math.inf, "the run ends")
             closing.callback(self.outputs.close)
             closing.callback(self.captures.close)
 

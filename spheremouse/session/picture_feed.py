@@ -66,7 +66,7 @@ class PictureFeed:
         while self._waiting:
             self._waiting.popleft()[1].answer(dict(picture))
 
-    def refuse_late(self, now: float) -> None:
-        """Refuse the requests that have waited for a second."""
+    def refuse_late(self, now: float, reason: str) -> None:
+        """Refuse the requests that have waited for a second; `reason` is that of the present state."""
         while self._waiting and now >= self._waiting[0][0] + _MAX_WAIT_S:
-            self._waiting.popleft()[1].answer(refused("no picture comes"))
+            self._waiting.popleft()[1].answer(refused(f"there is no picture now: {reason}"))

@@ -147,7 +147,7 @@ class Daemon:
         if now - self._checked_at < _CHECK_INTERVAL_S:
             return
         self._checked_at = now
-        parts.pictures.refuse_late(now)
+        parts.pictures.refuse_late(now, parts.monitor.reason)
         parts.cpu.look(now)
         worker.update_stages()
         unusable_s = now - max(worker.last_good_at, self._reopened_at)

@@ -94,8 +94,8 @@ def test_a_damaged_frame_is_passed_over_and_an_error_in_the_marks_is_logged_and_
 
 def test_a_request_without_a_frame_is_refused(feed):
     late, recent = request(feed, 0.0), request(feed, 0.5)
-    feed.refuse_late(1.1)
-    assert (late, recent) == ([{"ok": False, "error": "no picture comes"}], [])
+    feed.refuse_late(1.1, "unplugged")
+    assert (late, recent) == ([{"ok": False, "error": "there is no picture now: unplugged"}], [])
     show(feed, 1.2)
     assert recent[0]["bytes"] == 32
 

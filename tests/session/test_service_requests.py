@@ -105,7 +105,7 @@ def test_live_pictures_are_the_frames_with_their_marks_and_refused_if_no_frame_c
     assert sum(disc["used"] for disc in picture.annotations["detected"]) >= 3
     world.missing = "unplugged"
     world.reach("no-camera")
-    assert world.refused("picture") == "no picture comes"
+    assert world.refused("picture") == "there is no picture now: unplugged"
 
 
 @pytest.mark.slow

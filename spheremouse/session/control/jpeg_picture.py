@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
+from PIL import Image as Canvas
+from PIL import ImageDraw
 
 from spheremouse.session.control.protocol import LivePicture
 
@@ -15,8 +17,7 @@ _AROUND_TARGET = 2.0  # radii of a target that a masked picture shows
 
 
 Image = NDArray[np.uint8]
-_Outline = tuple[tuple[float, ...], ...]  # of x, y in px
-_Square = tuple[tuple[int, int], tuple[int, int]]
+_Square = tuple[int, int, int, int]  # left, top, right, bottom, px
 
 
 def encode_jpeg(image: Image) -> bytes:
@@ -55,7 +56,7 @@ class JpegPicture:
 def mask(image: Image, annotations: dict[str, Any]) -> Image:
     """Return an image, (h, w, c), that is black but for the ball and the targets: the given one, if it is writable."""
     height, width, channels = image.shape
-    outline = tuple(map(tuple, annotations.get("outline") or ()))
+    outline = tuple((round(x), round(y)) for x, y in annotations.get("outline") or ())
     squares = tuple(map(_square, annotations.get("targets") or ()))
     seen = _visibility_mask(outline, squares, height, width, channels)
     black = image if image.flags.writeable else np.empty_like(image)
@@ -64,34 +65,26 @@ def mask(image: Image, annotations: dict[str, Any]) -> Image:
 
 
 @lru_cache(maxsize=1)  # outline and targets change with the camera's pose alone
-def _visibility_mask(outline: _Outline, squares: tuple[_Square, ...], height: int, width: int, channels: int) -> Image:
+def _visibility_mask(
+    outline: tuple[tuple[int, int], ...], squares: tuple[_Square, ...], height: int, width: int, channels: int
+) -> Image:
     """Return 1 for the values of an image inside the outline or a square, else 0, (height, width * channels)."""
-    seen = np.zeros((height, width), bool)
+    seen = Canvas.new("L", (width, height))
+    pen = ImageDraw.Draw(seen)
     if len(outline) > 2:
-        seen = _inside(np.array(outline), height, width)
-    for rows, columns in squares:
-        seen[slice(*rows), slice(*columns)] = True
-    return np.repeat(seen.view(np.uint8), channels, axis=1)
+        pen.polygon(outline, fill=1)
+    for square in squares:
+        pen.rectangle(square, fill=1)
+    return np.repeat(np.asarray(seen), channels, axis=1)
 
 
 def _square(target: dict[str, Any]) -> _Square:
-    """Return the first and the end of the rows, and of the columns, around a target."""
+    """Return left, top, right and bottom of the square around a target."""
     xx, xy, yy = target["shape"]  # of an ellipse, px²
     # The larger eigenvalue is the square of the semi-major axis.
     radius = _AROUND_TARGET * math.sqrt(max(0.0, 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)))
-    y, x = ((max(0, round(at - radius)), max(0, round(at + radius) + 1)) for at in (target["y"], target["x"]))
-    return y, x
-
-
-def _inside(outline: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
-    """Return the pixels, (height, width), inside a convex outline, (n, 2) px."""
-    outline = np.roll(outline, -int(np.argmin(outline[:, 1])), axis=0)  # from its top, down one side and up the other
-    bottom = int(np.argmax(outline[:, 1]))
-    sides = outline[: bottom + 1], np.vstack([outline[bottom:], outline[:1]])[::-1]
-    rows = np.arange(height)
-    left, right = np.sort([np.interp(rows, y, x, np.nan, np.nan) for x, y in (side.T for side in sides)], axis=0)
-    columns = np.arange(width)
-    return (left[:, None] <= columns) & (columns <= right[:, None])
+    x, y = target["x"], target["y"]
+    return round(x - radius), round(y - radius), round(x + radius), round(y + radius)
 
 
 def _planes(picture: LivePicture) -> tuple[Image, Image, Image]:
