@@ -61,18 +61,6 @@ def stranger(path):
         threads[0].join()
 
 
-@pytest.mark.parametrize("sample", ["[" * 600 + "]" * 600, "NaN", "1e999", '"\\ud800 "', "[1"])
-def test_a_sample_of_a_program_that_is_no_daemon_is_refused(stranger, sample):
-    """Other code reads samples than other messages."""
-    with stranger(b'{"ok": true}\n{"event":"sample","sample":' + sample.encode() + b"}\n") as client:
-        events = client.events(1.0, samples=True)
-        if "ud800" in sample:  # a name with half a surrogate pair
-            assert next(events)["sample"] == "\ud800 "
-        else:
-            with pytest.raises(NoDaemonError, match="no daemon of spheremouse"):
-                next(events)
-
-
 def test_a_file_whose_name_is_no_text_is_in_a_status(path):
     """Half a surrogate pair, as Python calls such a byte."""
     with ControlServer(path, ControlSettings(), lambda p: p.answer(a_status(config="caf\udce9.yaml"))):
