@@ -126,61 +126,56 @@ def to_counts(
     return (counts[0], counts[1], counts[2]), (left[0], left[1], left[2])
 
 
-@dataclass(frozen=True, slots=True)
-class CatchUp:
-    """Motion of missing or unconfirmed frames, released no faster than a hand rolls a ball."""
-
-    stamp: float | None = None  # s, of the last frame
-    interval: float = np.inf  # s between the last two frames
-    confirmed: float = np.inf  # s, stamp of the last confirmed frame, or of the first one
-    pending: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, withheld and not released yet
-
-    def update(self, estimate: Estimate) -> tuple[Array, "CatchUp"]:
-        """Return the rotation vector (3,) rad to report with a frame, and the next state.
-
-        A frame's own motion is its share, by time, of the motion since the last confirmed frame. This is all of it,
-        unless frames in between were missing or not confirmed. The rest follows at `_RELEASE_RATE`.
-        """
-        interval = np.inf if self.stamp is None else estimate.stamp - self.stamp
-        confirmed = min(self.confirmed, estimate.stamp)  # the clock may start again
-        if not estimate.confirmed:
-            return np.zeros(3), CatchUp(estimate.stamp, interval, confirmed, self.pending)
-        since = estimate.stamp - confirmed
-        length = self.interval if interval > _MAX_INTERVAL_RATIO * self.interval > 0.0 else interval
-        own = 1.0 if not 0.0 < length < since else length / since
-        left = np.array(self.pending) + (1.0 - own) * estimate.increment[:3]
-        size, bound = float(np.sqrt(left @ left)), max(_RELEASE_RATE * length, 0.0)
-        released = left if size <= bound else left * (bound / size)
-        x, y, z = (left - released).tolist()
-        return own * estimate.increment[:3] + released, CatchUp(estimate.stamp, interval, estimate.stamp, (x, y, z))
-
-
 class Counter:
-    """Mapping of a ball in its frame. Fractions of a count carry over to the next call."""
+    """Mapping of a ball in its frame. Fractions of a count carry over to the next call.
+
+    Motion of missing or unconfirmed frames is released no faster than a hand rolls a ball.
+    """
 
     def __init__(self, matrix: Array) -> None:
         """Take the counts per radian, (3, 3), as `MotionSettings.matrix` returns them."""
-        self.matrix, self._remainder, self._catch_up = matrix, NO_REMAINDER, CatchUp()
-
-    @property
-    def fraction(self) -> Rate:
-        return self._remainder
+        self.matrix = matrix
+        self.fraction: Rate = NO_REMAINDER
+        self._stamp: float | None = None  # s, of the last frame
+        self._interval = np.inf  # s between the last two frames
+        self._confirmed = np.inf  # s, stamp of the last confirmed frame, or of the first one
+        self._pending = np.zeros(3)  # rad, withheld and not released yet
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
         """Return counts and counts/s of an estimate.
 
-        If it is not confirmed, the counts are 0 and the rate is None. The next estimates have its counts (`CatchUp`).
-        The sum of all counts stays within one of the integral of the motion.
+        If it is not confirmed, the counts are 0 and the rate is None. The next estimates have its counts. The sum of
+        all counts stays within one of the integral of the motion.
         """
-        rotation, self._catch_up = self._catch_up.update(estimate)
-        if not estimate.confirmed:
+        rotation = self._due(estimate)
+        if rotation is None:
             return (0, 0, 0), None
-        counts, self._remainder = to_counts(rotation, self.matrix, self._remainder)
+        counts, self.fraction = to_counts(rotation, self.matrix, self.fraction)
         x, y, z = (self.matrix @ estimate.rate[:3]).tolist()
         return counts, (x, y, z)
 
     def interrupted(self) -> None:
         """Change nothing: the increment after a break is known, or zero."""
+
+    def _due(self, estimate: Estimate) -> Array | None:
+        """Return the rotation vector (3,) rad to count with a frame; None if the frame is not confirmed.
+
+        A frame's own motion is its share, by time, of the motion since the last confirmed frame. This is all of it,
+        unless frames in between were missing or not confirmed. The rest follows at `_RELEASE_RATE`.
+        """
+        before, interval = self._interval, np.inf if self._stamp is None else estimate.stamp - self._stamp
+        self._stamp, self._interval = estimate.stamp, interval
+        self._confirmed = min(self._confirmed, estimate.stamp)  # the clock may start again
+        if not estimate.confirmed:
+            return None
+        since, self._confirmed = estimate.stamp - self._confirmed, estimate.stamp
+        length = before if interval > _MAX_INTERVAL_RATIO * before > 0.0 else interval
+        own = 1.0 if not 0.0 < length < since else length / since
+        left = self._pending + (1.0 - own) * estimate.increment[:3]
+        size, bound = float(np.sqrt(left @ left)), max(_RELEASE_RATE * length, 0.0)
+        released = left if size <= bound else left * (bound / size)
+        self._pending = left - released
+        return own * estimate.increment[:3] + released
 
 
 class OutputCounter:

@@ -5,7 +5,7 @@ of the ball is singular. A backlash between pose and pointer is as wide as the f
 `play`. Within it the hand counts as resting.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -68,47 +68,6 @@ class PointingSettings(AxisSettings):
         return self.directions() * (self.factors() * scale)[:, None]
 
 
-@dataclass(frozen=True, slots=True)
-class PointingState:
-    """State of the mapping between two frames."""
-
-    counting: bool = False  # False: the ball was never seen, or it was lost; the motion to its next pose moves nothing
-    slack: Array = field(default_factory=lambda: np.zeros(3))  # (3,) rad or m, cam: motion within the backlash
-    remainder: tuple[float, float, float] = NO_REMAINDER  # counts
-
-    def reset(self) -> "PointingState":
-        """Return the state of a ball that was lost."""
-        return PointingState(remainder=self.remainder)
-
-
-def point(
-    state: PointingState, estimate: Estimate, settings: PointingSettings
-) -> tuple[PointingState, Counts, Rate | None]:
-    """Return the next state, and counts and counts/s of the motion since the last confirmed estimate.
-
-    A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not. The
-    rate is None unless the estimate is confirmed in Status.TRACKING.
-    """
-    if estimate.status is not Status.TRACKING:
-        return state.reset(), (0, 0, 0), None
-    if not estimate.confirmed:
-        return state, (0, 0, 0), None
-    rate = pointing_rate(estimate.rate, settings)
-    if not state.counting or not estimate.increment_covariance.any():  # found again: no motion without an error
-        return replace(state.reset(), counting=True), (0, 0, 0), rate
-    part = slice(0, 3) if settings.by == "turn" else slice(3, 6)
-    sigma = np.sqrt(np.diag(estimate.covariance)[part].clip(0.0))
-    slack, passed = apply_backlash(state.slack, estimate.increment[part], settings.play * sigma)
-    counts, remainder = to_counts(passed, settings.matrix(), state.remainder)
-    return PointingState(counting=True, slack=slack, remainder=remainder), counts, rate
-
-
-def pointing_rate(rate: Array, settings: PointingSettings) -> tuple[float, float, float]:
-    """Return counts/s of the three axes at a rate (6,), rad/s and m/s in cam."""
-    x, y, z = (settings.matrix() @ (rate[:3] if settings.by == "turn" else rate[3:])).tolist()
-    return x, y, z
-
-
 def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tuple[Array, Array]:
     """Return the slack after a displacement, and the part that passes, all (3,), axis by axis.
 
@@ -122,21 +81,40 @@ def apply_backlash(slack: Array, displacement: Array, half_width: Array) -> tupl
 
 
 class WandMapping:
-    """Mapping of a hand-held ball."""
+    """Mapping of a hand-held ball. Fractions of a count and the slack carry over to the next call."""
 
     matrix: None = None  # its motion is in `cam`
 
     def __init__(self, settings: PointingSettings) -> None:
-        self._settings, self._state = settings, PointingState()
-
-    @property
-    def fraction(self) -> Rate:
-        return self._state.remainder
+        self._settings = settings
+        self.fraction: Rate = NO_REMAINDER
+        self.slack = np.zeros(3)  # (3,) rad or m, cam: motion within the backlash
+        self._counting = (
+            False  # False: the ball was never seen, or it was lost; the motion to its next pose is not sent
+        )
 
     def counts(self, estimate: Estimate) -> tuple[Counts, Rate | None]:
-        self._state, counts, rate = point(self._state, estimate, self._settings)
-        return counts, rate
+        """Return counts and counts/s of the motion since the last confirmed estimate.
+
+        A ball that was hidden for a moment moves the pointer when it is seen again. A ball that was lost does not. The
+        rate is None unless the estimate is confirmed in Status.TRACKING.
+        """
+        if estimate.status is not Status.TRACKING:
+            self.interrupted()
+        if estimate.status is not Status.TRACKING or not estimate.confirmed:
+            return (0, 0, 0), None
+        settings, matrix = self._settings, self._settings.matrix()
+        part = slice(0, 3) if settings.by == "turn" else slice(3, 6)
+        x, y, z = (matrix @ estimate.rate[part]).tolist()
+        if not self._counting or not estimate.increment_covariance.any():  # found again: no motion without an error
+            self.interrupted()
+            self._counting = True
+            return (0, 0, 0), (x, y, z)
+        sigma = np.sqrt(np.diag(estimate.covariance)[part].clip(0.0))
+        self.slack, passed = apply_backlash(self.slack, estimate.increment[part], settings.play * sigma)
+        counts, self.fraction = to_counts(passed, matrix, self.fraction)
+        return counts, (x, y, z)
 
     def interrupted(self) -> None:
-        """Reset after a break in the frames: the motion to the next pose moves nothing."""
-        self._state = self._state.reset()
+        """Count no motion across a break in the frames, to the next pose. Fractions stay."""
+        self._counting, self.slack = False, np.zeros(3)

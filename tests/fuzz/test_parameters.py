@@ -25,7 +25,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.frames import read_frames
-from spheremouse.output.wand_mapping import PointingState, point
+from spheremouse.output.wand_mapping import WandMapping
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Estimate, Frame, Status
@@ -205,7 +205,7 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
     """The frames of a film of `hand` tracked, and their motion."""
     film, _ = hand()
     usual = build_wand(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
-    state, pointing = wand.begin(tracker, 1, frames[0].stamp), PointingState()
+    state, mapping = wand.begin(tracker, 1, frames[0].stamp), WandMapping(c.wand.pointing)
     for frame in frames:
         found = in_time(
             "a ball in a hand",
@@ -213,7 +213,7 @@ def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configurat
             lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
         )
         state = found.state
-        pointing, counts, rate = point(pointing, found.estimate, c.wand.pointing)
+        counts, rate = mapping.counts(found.estimate)
         assert all(map(math.isfinite, (*counts, *(rate or ()))))
         for pose in state.poses:
             assert pose.position is None or np.all(np.isfinite(pose.position))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from spheremouse.output.wand_mapping import PointingSettings, PointingState, point, pointing_rate
+from spheremouse.output.wand_mapping import PointingSettings, WandMapping
 from spheremouse.tracker import Status
 from spheremouse.wand.estimate import estimate, measured_pose
 from spheremouse.wand.pose_velocity import initialise
@@ -41,21 +41,20 @@ def walk(seed, n=40, turn=0.03, shift=0.01):
     return np.cumsum(rng.normal(0.0, shift, (n, 3)), axis=0) + AHEAD, np.array([r.as_matrix() for r in R])
 
 
-def reports(poses, settings, state=PointingState(), dt=DT, track=Track()):  # noqa: B008  frozen
-    """Return counts, rate and estimate of each pose, and the state after the last."""
+def reports(poses, mapping, dt=DT, track=Track()):  # noqa: B008  frozen
+    """Return counts, rate and estimate of each pose."""
     found, measured = [], None
     for k, one in enumerate(poses):
         made = estimate(measured, track, one, k * dt, k)
-        state, counts, rate = point(state, made, settings)
+        found.append((*mapping.counts(made), made))
         measured = measured_pose(measured, one, k * dt)
-        found.append((counts, rate, made))
-    return found, state
+    return found
 
 
-def follow(poses, settings, state=PointingState()):  # noqa: B008  frozen
-    """Return the counts of each pose, (n, 3), and the state after the last."""
-    found, state = reports(poses, settings, state)
-    return np.array([counts for counts, _, _ in found]), state
+def follow(poses, settings):
+    """Return the counts of each pose, (n, 3), and the mapping after the last."""
+    mapping = WandMapping(settings)
+    return np.array([counts for counts, _, _ in reports(poses, mapping)]), mapping
 
 
 def way_of(p, R, settings):
@@ -72,8 +71,8 @@ def test_counts_are_the_integral_less_slack_and_remainder(seed, by, play, facing
     p, R = walk(seed)
     counts, after = follow(map(pose, p, R), settings)
     integral, M = way_of(p, R, settings), settings.matrix()
-    assert counts.sum(axis=0) + after.remainder == pytest.approx(M @ (integral - after.slack), abs=1e-6)
-    assert np.abs(after.remainder).max() < 1.0
+    assert counts.sum(axis=0) + after.fraction == pytest.approx(M @ (integral - after.slack), abs=1e-6)
+    assert np.abs(after.fraction).max() < 1.0
     assert np.abs(after.slack).max() <= play * SIGMA + 1e-12
     assert (np.abs(counts.sum(axis=0) - M @ integral) <= np.abs(M) @ np.full(3, play * SIGMA) + 1.0).all()
 
@@ -122,11 +121,11 @@ def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
     away = [replace(MISSING, phase=Status.SEARCHING), MISSING, MISSING] if fault == "lost" else []
     far = list(map(pose, p + np.array([1.0, 0.0, 0.0]), R @ turned(0, 90, 0)))
     counts, _ = follow([*before, *away, *far], settings)
-    alone, state = follow(before, settings)
+    alone, mapping = follow(before, settings)
     assert (counts[: len(before)] == alone).all()
     assert not counts[len(before) : len(before) + len(away) + 1].any()
-    again, _ = follow(far, settings, state.reset())
-    assert (counts[-len(far) :] == again).all()
+    mapping.interrupted()
+    assert (counts[-len(far) :] == [again for again, _, _ in reports(far, mapping)]).all()
 
 
 def test_while_it_is_hidden_nothing_moves_and_afterwards_nothing_is_missing():
@@ -142,7 +141,8 @@ def test_a_slow_camera_is_no_leap():
     """Stamps that stand still move nothing either."""
     p = np.array([0, 0, 1.0])
     for dt, moves in ((0.5, True), (0.02, False), (0.0, False)):
-        (_, (counts, _, made)), _ = reports([pose(p, np.eye(3)), pose(p, turned(0, 60, 0))], PointingSettings(), dt=dt)
+        mapping = WandMapping(PointingSettings())
+        _, (counts, _, made) = reports([pose(p, np.eye(3)), pose(p, turned(0, 60, 0))], mapping, dt=dt)
         assert (counts[0] > 0) == moves
         assert np.linalg.norm(made.increment[:3]) == pytest.approx(np.radians(60) if moves else 0.0)
 
@@ -183,12 +183,12 @@ def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     v, settings = np.array(velocity), PointingSettings(by=by, facing=facing, play=0.0, scale_z=0.3)
     steps = [pose((0, 0, 1) + v[:3] * k * DT, Rotation.from_rotvec(v[3:] * k * DT).as_matrix(), 0.0) for k in range(20)]
     counts, _ = follow(steps, settings)
-    rate = pointing_rate(np.roll(v, 3), settings)
-    assert counts.sum(axis=0) == pytest.approx(np.array(rate) * 19 * DT, abs=1.0)
+    rate = settings.matrix() @ (v[3:] if by == "turn" else v[:3])
+    assert counts.sum(axis=0) == pytest.approx(rate * 19 * DT, abs=1.0)
     pose_velocity = replace(initialise(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
-    for _, told, made in reports(steps[:2], settings, track=Track(pose_velocity=pose_velocity))[0]:
+    for _, told, made in reports(steps[:2], WandMapping(settings), track=Track(pose_velocity=pose_velocity)):
         assert made.rate == pytest.approx(np.roll(v, 3))
-        assert told == rate
+        assert told == pytest.approx(rate)
 
 
 def test_a_motion_is_as_uncertain_as_sampled_poses_are():
@@ -207,7 +207,8 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
             )
             for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
         ]
-        first, second = reports(poses, PointingSettings(), dt=1.0, track=Track(pose_velocity=pose_velocity))[0]
+        mapping = WandMapping(PointingSettings())
+        first, second = reports(poses, mapping, dt=1.0, track=Track(pose_velocity=pose_velocity))
         assert not np.any(first[2].increment_covariance)
         return second[2]
 
@@ -222,6 +223,8 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
 
 def test_fractions_survive_a_loss():
     """Nothing moves at it, and half a count is not lost for ever."""
-    counts, after = follow([MISSING], PointingSettings(), PointingState(remainder=(0.4, 0.0, -0.4)))
-    assert not counts.any()
-    assert after.remainder == (0.4, 0.0, -0.4)
+    _, mapping = follow([pose(AHEAD, turned(0, angle, 0), 0.0) for angle in (0.0, 1.0)], PointingSettings())
+    fraction = mapping.fraction
+    assert abs(fraction[0]) > 0.1
+    assert reports([MISSING], mapping)[0][:2] == ((0, 0, 0), None)
+    assert mapping.fraction == fraction
