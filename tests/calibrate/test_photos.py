@@ -10,9 +10,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image
 
-from spheremouse.calibrate.photos import check_size, image, read_photos
+from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation
 
 ORIENTATION = 0x0112
 W, H = 96, 64
@@ -180,17 +179,3 @@ def test_a_file_that_changed_since_is_refused(tmp_path):
     photo.path.unlink()
     with pytest.raises(CalibrationError, match="no such photo"):
         image(photo)
-
-
-def camera(width, height):
-    return InteriorOrientation(width, height, 80.0, 80.0, 47.0, 31.0)
-
-
-def test_photos_must_be_of_the_camera_files_mode(tmp_path):
-    photos = read_photos([save(tmp_path / "a.jpg")], note=silent)
-    path = tmp_path / "camera.yaml"
-    check_size(photos, camera(W, H), path)
-    for size in ((2 * W, 2 * H), (H, W), (W, W)):
-        with pytest.raises(CalibrationError) as e:
-            check_size(photos, camera(*size), path)
-        assert f"is 96x64, and {path} is for the mode {size[0]}x{size[1]}" in str(e.value)

@@ -286,6 +286,8 @@ def test_photos_that_cannot_be_used_are_the_next_thing(finished):
     photograph(finished / "device", DEVICE_ENOUGH, 100, (128, 96))
     step = next_of(finished)
     assert step.name == "photos of the device"
+    said = f"is 128x96, and {finished / 'camera.yaml'} is for the mode 64x48"
+    assert said in step.todo[0]
     assert "take originals in that mode" in step.todo[0]
     (finished / "camera.yaml").unlink()
     photograph(finished / "board", 1, BOARD_ENOUGH, (32, 24))
