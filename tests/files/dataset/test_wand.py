@@ -62,14 +62,6 @@ def test_what_is_written_comes_back_to_the_last_bit(folder, film):
     assert (recording.ball.name, recording.ball.body) == ("contrast", "white")
 
 
-def test_without_truth_the_rate_stamps_the_frames(folder):
-    (folder / "truth.csv").unlink()
-    recording = open_wand(folder)
-    assert recording.truth is None
-    assert [f.stamp for f in read_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
-    assert recording.seconds == pytest.approx([0.0, 0.1, 0.2])
-
-
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
