@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from spheremouse.geometry.camera import InteriorOrientation
 
 S = TypeVar("S")
+_SAMPLED_ROWS = 32  # a disc of 15 px crosses one at 480 rows
 NO_STATISTICS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -37,6 +38,12 @@ def check_size(frame: Frame, camera: "InteriorOrientation") -> None:
             f"frame {frame.sequence} is {width}x{height}, the camera was calibrated at {camera.width}x{camera.height}: "
             "set the camera to that mode, or give the calibration of this one (--camera)"
         )
+
+
+def sampled_rows(image: NDArray[np.uint8]) -> bytes:
+    """Return rows of an image that differ, by their noise alone, from those of any other exposure."""
+    step = max(1, len(image) // _SAMPLED_ROWS)
+    return image[step // 2 :: step].tobytes()
 
 
 class Status(StrEnum):

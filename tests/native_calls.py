@@ -122,7 +122,7 @@ def run() -> None:
     kernels.fit_discs(image, mask, expected, 2.0, settings, settings.contrast, 0.0)
     bounds = np.array([[0, 30, 0.3, 1, 20, 255]], np.float32)
     kernels.grow_glare(image, bounds, np.ones((9, 8), np.float32), 20, 30, 0.5, mask.copy())
-    kernels.expected_field(np.full((3, 8), 0.5, np.float32))
+    kernels.expected_field(np.full((3, 9), 0.5, np.float32))
 
 
 def copied(value: Any) -> Any:

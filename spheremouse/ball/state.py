@@ -24,10 +24,9 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Estimate, Event, Frame, Status
+from spheremouse.tracker import Estimate, Event, Frame, Status, sampled_rows
 
 _MOVED_FRAMES = 2  # in a row: one may show a false edge
-_SAMPLED_ROWS = 32  # a disc of 15 px crosses one at 480 rows
 _NO_TRACK = np.zeros(0, dtype=np.intp)
 RECENT_S = 0.15  # s, for which a camera's last frame counts beside those of another: five frames at 30 Hz
 SURE = 10  # sightings from which a disc is worth keeping
@@ -172,8 +171,7 @@ class LastPicture(NamedTuple):
     @classmethod
     def of(cls, image: NDArray[np.uint8], rate: Array) -> "LastPicture":
         """Return that of a frame's image; `rate` is of the ball before it is processed."""
-        step = max(1, len(image) // _SAMPLED_ROWS)
-        return cls(image[step // 2 :: step].tobytes(), rate)
+        return cls(sampled_rows(image), rate)
 
 
 class Tracking(NamedTuple):

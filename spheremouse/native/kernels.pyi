@@ -475,14 +475,13 @@ class BallModel:
 class FieldsView:
     """Weight fields, (c, h, w), and glare, (1, h, w) or (0, 1, 1), for the functions below, without a copy.
 
-    `place` has left, top and factor, `exposure_motion` is (6,), and the others have a value for each colour
-    (`colour.Fields`).
+    `place` has left, top and factor, and `exposure_motion` is (6,). The others have a value or a row for each colour
+    (`colour.Fields`); a row of `rims` has offset, its standard deviation, that of the blur (px), and the cover.
     """
 
     def __init__(
-        self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rim: _Float, rim_sigma: _Float,
-        cover: _Float, exposure_motion: _Float,
-    ) -> None: ...  # fmt: skip
+        self, weight: _Byte, glare: _Byte, place: _Float, fraction: _Float, rims: _Float, exposure_motion: _Float
+    ) -> None: ...
 
 def log_likelihood(
     position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, sigma: float, disc_weight: _Float,
@@ -518,8 +517,8 @@ def outline_log_likelihood(position: _Float, which: _Index, edges: _Float, ball:
 
 def refine(
     position: _Float, rotation: _Float, ball: BallModel, fields: FieldsView, edges: _Float, rounds: int
-) -> tuple[_Float, _Float, _Float, float]:
-    """Return position, rotation, covariance and slope of the peak near a pose (`refine.refine_pose`)."""
+) -> tuple[_Float, _Float, _Float, float, _Float]:
+    """Return position, rotation, covariance, slope and rims of the peak near a pose (`likelihood.refine_pose`)."""
 
 # spheremouse/wand/particles.cpp
 

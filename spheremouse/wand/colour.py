@@ -5,7 +5,7 @@ Gaussian (Grzonka 2005, sections 3.4.2 and 3.4.3). A region of interest and a re
 time independent of the ball's size. A further field marks glare, which hides all colours.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,13 +13,27 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
-from spheremouse.wand.rims import OVEREXPOSED, RIM_SIGMA, Image, least_cover, rim_shift, rim_shift_by_brightness
+from spheremouse.wand.rims import (
+    IN_FOCUS,
+    OVEREXPOSED,
+    RIM_SIGMA,
+    Image,
+    edge_blur,
+    least_cover,
+    lens_blur_of,
+    rim_shift,
+    rim_shift_by_brightness,
+)
 from spheremouse.wand.settings import ColourSettings
 
 Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
 
 MEAN_BRIGHTNESS = 127.0
 _MIN_FRACTION, _MAX_FRACTION = 0.003, 0.5  # of a colour in the likelihood ratio
+_MIN_RIM = 0.2  # of the blur: a rim nearer the true one says little about the blur
+_BLUR_GAIN = 0.1  # of a picture: some ten count, as for the exposure
+_SHORT_EXPOSURE_S = 0.005  # a longer one shows in the exposure that the tracker estimates
+_MIN_LENS_BLUR, _MAX_LENS_BLUR = 0.2, 3.0  # px: the lens cannot be much sharper than a pixel; small discs vanish
 FIELD_SIGMA = 1.2  # px of the field: 1.1 of the kernel, 0.5 of thresholding and interpolation
 _KERNEL = (5, 5)
 _SAMPLE_STEP = 16  # rows and columns, for mean brightness and colours: thousands of pixels suffice
@@ -59,15 +73,41 @@ class Fields:
     cover: Array  # (c,) least fraction of print in a selected pixel
     glare: NDArray[np.uint8]  # (1, h, w) 255 inside glare, blurred as `weight`; (0, 1, 1) without glare
     exposure_motion: Array = field(default_factory=lambda: np.zeros(6))  # m, rad in cam: of the ball; 0 if unknown
+    lens_blur: Array = field(default_factory=lambda: np.array(IN_FOCUS))  # (c,) or () px of the whole picture
 
     kernel: kernels.FieldsView = field(init=False)  # the same for native functions
 
     def __post_init__(self) -> None:
         place = np.array([self.left, self.top, self.factor], dtype=float)
         fraction = np.clip(self.fraction, _MIN_FRACTION, _MAX_FRACTION)
-        rim = self.rim, self.rim_sigma, self.cover
-        view = kernels.FieldsView(self.weight, self.glare, place, fraction, *rim, self.exposure_motion)
+        blur = np.broadcast_to(edge_blur(self.lens_blur, self.factor), self.rim.shape)
+        rims = np.column_stack([self.rim, self.rim_sigma, blur, self.cover])
+        view = kernels.FieldsView(self.weight, self.glare, place, fraction, rims, self.exposure_motion)
         object.__setattr__(self, "kernel", view)
+
+    def with_lens_blur(self, lens_blur: Array) -> "Fields":
+        """Return the fields with the rims that blur selects.
+
+        `lens_blur` is its standard deviation in each colour, (c,), or in all, (), px of the whole picture.
+        """
+        wider = edge_blur(lens_blur, self.factor) / edge_blur(self.lens_blur, self.factor)
+        return replace(self, rim=wider * self.rim, rim_sigma=wider * self.rim_sigma, lens_blur=lens_blur)
+
+    def learnt_lens_blur(self, offset: Array, speed: float | None) -> Array:
+        """Return the blur in each colour, (c,), after a picture whose rims are `offset` px of the field farther out.
+
+        A wrong bound or print moves a rim as blur does, so that each colour has its own. So does motion: a picture in
+        which the ball moves at `speed` (px of the whole picture per s) counts less. The first one, without a speed,
+        counts in full.
+        """
+        edge = np.broadcast_to(edge_blur(self.lens_blur, self.factor), self.rim.shape)
+        known = np.abs(self.rim) > _MIN_RIM * edge
+        ratio = np.divide(self.rim + offset, self.rim, out=np.ones(len(edge)), where=known)
+        gain = 1.0
+        if speed is not None:
+            gain = _BLUR_GAIN / (1.0 + (speed * _SHORT_EXPOSURE_S / self.factor / edge) ** 2)
+        edge = edge * np.clip(ratio, 0.5, 2.0) ** gain
+        return np.clip(lens_blur_of(edge, self.factor), _MIN_LENS_BLUR, _MAX_LENS_BLUR)
 
 
 @dataclass(frozen=True, slots=True)

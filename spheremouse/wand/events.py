@@ -9,8 +9,8 @@ from spheremouse.tracker import Event, Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import FULL_FACING
-from spheremouse.wand.peaks import CERTAIN_MATCH, Modes, SearchContext, modes_without_prior
-from spheremouse.wand.state import Track, WandTracker
+from spheremouse.wand.peaks import CERTAIN_MATCH, Modes, Scene, SearchContext, modes_without_prior
+from spheremouse.wand.state import Track, WandState, WandTracker
 
 _PATIENCE_TURNED_AWAY = 10.0  # searches: a hand does not hold one side towards the camera for so long
 MIN_SIGHTINGS = 3  # of a second ball in a row: accidental matches of clutter do not last
@@ -83,6 +83,17 @@ def colour_problem(whole: Fields, turned_away: set[str]) -> tuple[Event | None, 
         if fraction > _MAX_COLOUR_FRACTION and name not in ("dark", "light"):
             found.append((ColourEverywhere(name, float(fraction)), 0.0))
     return min(found, key=lambda one: one[1], default=(None, 0.0))
+
+
+def update_colour_problem(state: WandState, stamp: float, scene: Scene, tracks: list[Track]) -> WandState:
+    """Return the state with the problem of the colours that the fields of the whole picture show, if they are known."""
+    if scene.whole is None:
+        return state
+    problem, patience = colour_problem(scene.whole, colours_turned_away(scene.tracker, tracks))
+    unchanged = problem == state.colour_problem
+    age, lasted = (state.colour_problem_age, stamp - state.colour_problem_stamp) if unchanged else (0.0, 0.0)
+    age = age + lasted / (patience * scene.tracker.settings.look_around) if patience else 1.0
+    return replace(state, colour_problem=problem, colour_problem_age=age, colour_problem_stamp=stamp)
 
 
 def second_ball_unconfirmed(track: Track) -> bool:

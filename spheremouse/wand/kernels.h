@@ -10,6 +10,7 @@ using Positions = Array<const double, -1, 3>;
 using Rotations = Array<const double, -1, 3, 3>;
 
 constexpr double SIGMA = 0.065;       // of a field's range, `likelihood.SIGMA`
+constexpr double IN_FOCUS = 0.55;     // px, blur of a rim in focus
 constexpr double OUTLIER = 0.08;      // fraction of the points that a finger, a highlight or a stick hides
 constexpr double MIN_FACING = 0.08;   // cosine of the viewing angle at which a point has weight
 constexpr double FULL_FACING = 0.25;  // and full weight
@@ -75,18 +76,26 @@ struct Planes {
     }
 };
 
+/// How a colour's bounds select the rims of its discs: px outward from the true rim, its standard deviation, standard
+/// deviation of the blur, least fraction of print in a selected pixel.
+struct Rim {
+    double offset, sigma, blur, cover;
+};
+
 /// Weight fields of part of a picture: `colour.Fields`.
 class FieldsView {
   public:
-    FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rim,
-               nb::handle rim_sigma, nb::handle cover, nb::handle exposure_motion);
+    FieldsView(nb::handle weight, nb::handle glare, nb::handle place, nb::handle fraction, nb::handle rims,
+               nb::handle exposure_motion);
 
     /// Raise a TypeError unless each colour of a ball has a field.
     void require_colours_of(const BallModel& ball) const;
 
     Planes weight, glare;
     double left, top, factor;
-    std::vector<double> fraction, rim, rim_sigma, cover;  // of each colour
+    double sigma = 0.0;            // of the field's range
+    std::vector<double> fraction;  // of each colour
+    std::vector<Rim> rim;          // of each colour
     Vector<6> exposure_motion;                            // m, rad in cam: of the ball; 0 if unknown
 
   private:
@@ -106,7 +115,7 @@ struct Sight {
     size_t coloured = 0, bare = 0;
     std::vector<size_t> index, bare_index;
     std::vector<double> w, hidden, m, r, bare_w, bare_x, bare_y;
-    std::vector<float> e, g, argument[8];
+    std::vector<float> e, g, argument[9];
 };
 
 /// Measure the points that a pose shows. `disc_weight` has the weight of the points of each disc, null for its own.

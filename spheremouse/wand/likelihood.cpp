@@ -33,17 +33,26 @@ inline float scaled_asin(float sine) {
 }
 
 /// Write the expected field e and de / d(rim offset) of n points. The arguments are those of `kernels.expected_field`.
-WIDE void expect(size_t n, const std::vector<float> (&argument)[8], float* e_out, float* g_out) {
+///
+/// The last one is the standard deviation of a rim's blur, px. A rim alone is selected s px inward, where a pixel has
+/// the fraction Phi(s / blur) of print. Another rim w px away takes print away too. There the pixel that is selected lies
+/// x px inward, with Phi(x / blur) + Phi((w - x) / blur) - 1 = Phi(s / blur): one step of Newton's method from s.
+WIDE void expect(size_t n, const std::vector<float> (&argument)[9], float* e_out, float* g_out) {
     const float *along = argument[0].data(), *outward = argument[1].data(), *facing = argument[2].data();
     const float *scale = argument[3].data(), *inside = argument[4].data(), *width = argument[5].data();
-    const float *bend = argument[6].data(), *offset = argument[7].data();
+    const float *bend = argument[6].data(), *offset = argument[7].data(), *blur = argument[8].data();
 #pragma GCC ivdep
     for (size_t i = 0; i < n; i++) {
         const float per_root = 1.0f / std::sqrt(std::max(1.0f - along[i] * along[i], 0.02f));
         const float across = scale[i] * facing[i] * per_root * PER_SIGMA;  // field sigmas per rad, across the rim
         // a blurred rim of curvature k moves inward by k s² / 2
-        const float bent = HALF_SIGMA * facing[i] * bend[i] * per_root * per_root * per_root / scale[i];
-        const float shift = std::min(bent, 0.8f) - offset[i] * PER_SIGMA;
+        const float wider = 1.0f + blur[i] * blur[i] * PER_SIGMA * PER_SIGMA;
+        const float bent = HALF_SIGMA * wider * facing[i] * bend[i] * per_root * per_root * per_root / scale[i];
+        const float apart = (inside[i] + width[i]) * across * float(FIELD_SIGMA), alone = -offset[i];
+        const float per_blur = 1.0f / blur[i];
+        const Normal here(alone * per_blur), opposite((apart - alone) * per_blur);
+        const float both = alone + blur[i] * (1.0f - opposite.cdf) / std::max(here.pdf - opposite.pdf, 0.05f);
+        const float shift = std::min(bent, 0.8f) + std::min(both, std::max(0.5f * apart, alone)) * PER_SIGMA;
         const Normal near(inside[i] * across - shift), far(width[i] * across - shift);
         const float disc = std::max(near.cdf + far.cdf - 1.0f, 0.0f), slope = near.pdf + far.pdf;
         // disc and limb are two half planes, hence two Gaussian variables; exact for a point on both edges
@@ -194,7 +203,7 @@ Ratio ratio(const BallModel& ball, const FieldsView& fields, const Densities& de
     }
     for (size_t d = 0; d < product.size(); d++) sum.log_ratio += s.disc_weight[d] * std::log(product[d]);
     for (size_t k = 0; k < rg.size(); k++) {  // the common offset, marginalised
-        const double prior = fields.rim_sigma[k] * fields.rim_sigma[k];
+        const double prior = fields.rim[k].sigma * fields.rim[k].sigma;
         const double information = 1.0 / prior + gg[k] / variance, b = rg[k] / variance;
         sum.log_ratio += 0.5 * b * b / information - 0.5 * std::log(information * prior);
     }
@@ -214,6 +223,7 @@ nb::tuple log_likelihood(nb::handle position_, nb::handle rotation_, const BallM
         throw nb::type_error("disc_weight: must have a column for each disc, and which an index for each pose");
     for (size_t i = 0; k > 0 && i < n; i++)
         if (which(i) >= int64_t(k)) throw nb::type_error("which: must be an index of disc_weight");
+    sigma = std::max(sigma, fields.sigma);
     auto value = zeros<double>({n}), match = zeros<double>({n});
     double *value_ = value.data(), *match_ = match.data();
     nb::gil_scoped_release release;
@@ -238,7 +248,7 @@ nb::tuple evidence_bounds(nb::handle position_, nb::handle rotation_, const Ball
     if (rotation.shape(0) != n) throw nb::type_error("rotation: must have as many poses as position");
     const size_t colours = fields.rim.size();
     auto hidden = zeros<double>({n, colours}), clear = zeros<double>({n, colours});
-    const Densities density(fields, SIGMA);
+    const Densities density(fields, fields.sigma);
     Sight s(ball.size);
     for (size_t i = 0; i < n; i++) {
         const Pose pose{Eigen::Map<const Vector3d>(&position(i, 0)), Eigen::Map<const Matrix<3>>(&rotation(i, 0, 0))};
@@ -254,11 +264,11 @@ nb::tuple evidence_bounds(nb::handle position_, nb::handle rotation_, const Ball
 }
 
 nb::tuple expected_field(nb::handle points_) {
-    const auto points = array<const float, -1, 8>(points_, "points");
+    const auto points = array<const float, -1, 9>(points_, "points");
     const size_t n = points.shape(0);
     auto e = zeros<float>({n}), g = zeros<float>({n});
-    std::vector<float> argument[8];
-    for (size_t k = 0; k < 8; k++) {
+    std::vector<float> argument[9];
+    for (size_t k = 0; k < 9; k++) {
         for (size_t i = 0; i < n; i++) argument[k].push_back(points(i, k));
     }
     expect(n, argument, e.data(), g.data());
@@ -286,28 +296,27 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
     }
 }
 
-FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rim_,
-                       nb::handle rim_sigma_, nb::handle cover_, nb::handle exposure_motion_)
+/// Return the noise of a rim over that of one in focus: a pixel's width, and what noise moves it by, which grows as blur.
+static double rim_noise(double blur) { return std::sqrt((1.0 + blur * blur) / (1.0 + IN_FOCUS * IN_FOCUS)); }
+
+FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rims_,
+                       nb::handle exposure_motion_)
     : arrays_{array<const uint8_t, -1, -1, -1>(weight_, "weight"), array<const uint8_t, -1, -1, -1>(glare_, "glare")} {
     Planes* planes[] = {&weight, &glare};
     for (int i : {0, 1})
         *planes[i] = {arrays_[i].data(), arrays_[i].shape(0), int(arrays_[i].shape(1)), int(arrays_[i].shape(2))};
     const auto place = array<const double, 3>(place_, "place");
-    const auto p = array<const double, -1>(fraction_, "fraction"), shift = array<const double, -1>(rim_, "rim");
-    const auto shift_sigma = array<const double, -1>(rim_sigma_, "rim_sigma");
-    const auto least = array<const double, -1>(cover_, "cover");
+    const auto p = array<const double, -1>(fraction_, "fraction");
+    const auto rims = array<const double, -1, 4>(rims_, "rims");
     const auto motion = array<const double, 6>(exposure_motion_, "exposure_motion");
     if (p.shape(0) != weight.count) throw nb::type_error("fraction: must have a value for each colour");
-    if (shift.shape(0) != weight.count) throw nb::type_error("rim: must have a value for each colour");
-    if (shift_sigma.shape(0) != weight.count) throw nb::type_error("rim_sigma: must have a value for each colour");
-    if (least.shape(0) != weight.count) throw nb::type_error("cover: must have a value for each colour");
+    if (rims.shape(0) != weight.count) throw nb::type_error("rims: must have a row for each colour");
     if (glare.count > 0 && (glare.height != weight.height || glare.width != weight.width))
         throw nb::type_error("glare: must have the size of weight");
     left = place(0), top = place(1), factor = place(2);
     fraction.assign(p.data(), p.data() + p.shape(0));
-    rim.assign(shift.data(), shift.data() + shift.shape(0));
-    rim_sigma.assign(shift_sigma.data(), shift_sigma.data() + shift_sigma.shape(0));
-    cover.assign(least.data(), least.data() + least.shape(0));
+    for (size_t k = 0; k < weight.count; k++) rim.push_back({rims(k, 0), rims(k, 1), rims(k, 2), rims(k, 3)});
+    for (const Rim& one : rim) sigma += std::max(rim_noise(one.blur), 1.0) * SIGMA / double(rim.size());
     exposure_motion = Eigen::Map<const Vector<6>>(motion.data());
 }
 
@@ -346,8 +355,8 @@ void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, 
     const float* from[7] = {s.along.data(),        s.outward.data(),      facing,
                             s.scale.data(),        ball.column[9].data(), ball.column[10].data(),
                             ball.column[11].data()};
-    float* to[8];
-    for (int k = 0; k < 8; k++) to[k] = s.argument[k].data();
+    float* to[9];
+    for (int k = 0; k < 9; k++) to[k] = s.argument[k].data();
     double *w = s.w.data(), *m = s.m.data(), *hidden = s.hidden.data();
     for (size_t q = 0; q < ball.size; q++) {  // without a branch, which the processor would mispredict
         index[visible] = q;
@@ -368,8 +377,10 @@ void measure(const BallModel& ball, const FieldsView& fields, const Pose& pose, 
         m[n] = weight_field.at(k, px, py);
         index[n] = q, w[n] = weight, hidden[n] = veil;
         for (int i = 0; i < 7; i++) to[i][n] = from[i][q];
-        const float rim = float(fields.rim[size_t(k)]);
-        to[7][n] = moves ? blurred_rim(rim, float(fields.cover[size_t(k)]), s.across[q]) : rim, n++;
+        const Rim& rim = fields.rim[size_t(k)];
+        const float offset = float(rim.offset);
+        to[7][n] = moves ? blurred_rim(offset, float(rim.cover), s.across[q]) : offset;
+        to[8][n] = float(rim.blur), n++;
     }
     s.coloured = n;
     expect(n, s.argument, s.e.data(), s.g.data());
@@ -387,9 +398,8 @@ void bind_likelihood(nb::module_& m) {
         .def(nb::init<nb::handle, nb::handle, double, nb::handle>(), arg("table"), arg("colour"), arg("radius"),
              arg("lens"));
     nb::class_<FieldsView>(m, "FieldsView")
-        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(),
-             arg("weight"), arg("glare"), arg("place"), arg("fraction"), arg("rim"), arg("rim_sigma"), arg("cover"),
-             arg("exposure_motion"));
+        .def(nb::init<nb::handle, nb::handle, nb::handle, nb::handle, nb::handle, nb::handle>(), arg("weight"),
+             arg("glare"), arg("place"), arg("fraction"), arg("rims"), arg("exposure_motion"));
     m.def("log_likelihood", &log_likelihood, arg("position"), arg("rotation"), arg("ball"), arg("fields"), arg("sigma"),
           arg("disc_weight"), arg("which"));
     m.def("evidence_bounds", &evidence_bounds, arg("position"), arg("rotation"), arg("ball"), arg("fields"));

@@ -117,6 +117,7 @@ class Peak:
     covariance: Array  # (6, 6) m, rad: position + d, exp(theta) @ rotation, in cam axes
     edges: Array  # (24, 5) of the outline, `measure_edges`
     slope: float  # twice the gain in log-likelihood that a further round promises: small at the peak
+    rims: Array  # (c,) px of the field by which each colour's rims are selected farther outward than expected
 
 
 def refine_pose(position: Array, rotation: Array, model: Model, fields: Fields, edges: Array, rounds: int) -> Peak:
@@ -127,5 +128,5 @@ def refine_pose(position: Array, rotation: Array, model: Model, fields: Fields, 
     The inverse normal matrix is the covariance of the Gaussian at the peak (Laplace's approximation). Derivatives are
     differences over half a pixel, which average the effect of single pixels.
     """
-    p, R, covariance, slope = kernels.refine(position, rotation, model.kernel, fields.kernel, edges, rounds)
-    return Peak(p, R, covariance, edges, slope)
+    p, R, covariance, slope, rims = kernels.refine(position, rotation, model.kernel, fields.kernel, edges, rounds)
+    return Peak(p, R, covariance, edges, slope, rims)

@@ -69,6 +69,11 @@ class SearchContext:
     scene: Scene
     index: int  # of the ball
     others: list[Array]  # (3,) m, cam: positions of the other balls
+    lens_blur: Array  # (c,) or () px, `Fields.lens_blur`
+
+    def part(self, region: Region | None, factor: int) -> Fields:
+        """Return the fields of a region, reduced `factor` times, with the ball's blur; None is the whole picture."""
+        return self.scene.part(region, factor).with_lens_blur(self.lens_blur)
 
     @property
     def tracker(self) -> WandTracker:
@@ -123,7 +128,7 @@ def fields_near(track: Track, motions: MotionMixture, context: SearchContext) ->
     """
     scene, s = context.scene, context.tracker.settings
     region, factor = search_region(track, motions, context.tracker, context.ball.radius)
-    fields = scene.part(region if s.region else None, factor)
+    fields = context.part(region if s.region else None, factor)
     if not s.region and factor == 1:
         scene.whole = fields
     return replace(fields, exposure_motion=track.exposure_motion)
@@ -262,7 +267,8 @@ def is_ball(modes: Modes, settings: WandSettings) -> bool:
 def search_picture(context: SearchContext, first_spot: int) -> Modes:
     """Return the peaks in the whole picture, from spot `first_spot` on."""
     context.scene.searched = True
-    return modes_from_spots(context, context.scene.all(), 12, first_spot)
+    fields = context.scene.all().with_lens_blur(context.lens_blur)
+    return modes_from_spots(context, fields, 12, first_spot)
 
 
 def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_spot: int = 0) -> Modes:
@@ -283,7 +289,7 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
             position.append(guess.position[group])
             rotation.append(guess.rotation[group])
             continue
-        reduced = context.scene.part(covered_region(fields), int(factor))
+        reduced = context.part(covered_region(fields), int(factor))
         group_count = int(np.ceil(count * np.mean(group)))
         modes = refine_modes(guess.position[group], guess.rotation[group], group_count, context, reduced, outline=False)
         position.append(modes.position)
@@ -292,7 +298,7 @@ def modes_from_spots(context: SearchContext, fields: Fields, count: int, first_s
     if modes.peaks:
         factor = reduction_factor(2.0 * tracker.camera.fx * ball.radius / modes.peaks[0].position[2])
         if factor > fields.factor:
-            reduced = context.scene.part(covered_region(fields), factor)
+            reduced = context.part(covered_region(fields), factor)
             modes = refine_modes(modes.position, modes.rotation, _MAX_PEAKS, context, reduced)
     return replace(modes, next_spot=guess.next_spot)
 

@@ -32,7 +32,7 @@ class Refinement {
         for (int round = 0;; round++) {
             const bool coarse = round < rounds - 4;
             linearise();
-            assemble(coarse ? COARSE_SIGMAS[std::min(round, 3)] : SIGMA, coarse);
+            assemble(coarse ? std::max(COARSE_SIGMAS[std::min(round, 3)], fields_.sigma) : fields_.sigma, coarse);
             const Eigen::VectorXd dx = A_.ldlt().solve(b_);
             if (round == rounds || (!coarse && !(dx.dot(b_) >= CONVERGED))) return dx.dot(b_);
             step(dx);
@@ -44,6 +44,9 @@ class Refinement {
         full.topLeftCorner<3, 3>() = ray_basis(pose.c);
         return full * A_.inverse().topLeftCorner<6, 6>() * full.transpose();
     }
+
+    /// Offsets of each colour's rims, px of the field outward.
+    Eigen::VectorXd rims() const { return offsets_.head(Eigen::Index(colours_)); }
 
     Pose pose;
 
@@ -122,7 +125,7 @@ class Refinement {
             const double p = fields_.fraction[size_t(std::max(k, 0))], r = here_.r[i] / width, e = here_.e[i] / width;
             const double inlier = (1.0 - OUTLIER) * std::exp(-0.5 * r * r) / ((1.0 - p) * std::exp(-0.5 * e * e) + p);
             const double residual = here_.r[i] - (k >= 0 ? here_.g[i] * offsets_[k] : 0.0);
-            add(here_.w[i] * inlier / (inlier + OUTLIER) / (SIGMA * SIGMA), J_.row(i).transpose(), residual, k,
+            add(here_.w[i] * inlier / (inlier + OUTLIER) / (fields_.sigma * fields_.sigma), J_.row(i).transpose(), residual, k,
                 -here_.g[i]);
         }
         const double f = fields_.factor, variance = EDGE_SIGMA * f * EDGE_SIGMA * f;
@@ -135,7 +138,7 @@ class Refinement {
             add(weight, outline_J_.row(Eigen::Index(q)).transpose(), r - offsets_[last], last, -1.0);
         }
         for (int k = 0; k <= last; k++) {
-            const double sigma = k < last ? fields_.rim_sigma[size_t(k)] : EDGE_OFFSET * f;
+            const double sigma = k < last ? fields_.rim[size_t(k)].sigma : EDGE_OFFSET * f;
             A_(6 + k, 6 + k) += 1.0 / (sigma * sigma);
             b_[6 + k] -= offsets_[k] / (sigma * sigma);
         }
@@ -172,6 +175,7 @@ nb::tuple refine(nb::handle position_, nb::handle rotation_, const BallModel& ba
     fields.require_colours_of(ball);
     if (rounds < 0 || rounds > 100) throw nb::value_error("rounds: must be from 0 to 100");
     auto new_position = zeros<double>({3}), new_rotation = zeros<double>({3, 3}), covariance = zeros<double>({6, 6});
+    auto rims = zeros<double>({fields.rim.size()});
     double slope;
     {
         nb::gil_scoped_release release;
@@ -181,8 +185,9 @@ nb::tuple refine(nb::handle position_, nb::handle rotation_, const BallModel& ba
         Eigen::Map<Vector3d>(new_position.data()) = refinement.pose.c;
         Eigen::Map<Matrix<3>>(new_rotation.data()) = refinement.pose.R;
         Eigen::Map<Matrix<6>>(covariance.data()) = refinement.covariance();
+        Eigen::Map<Eigen::VectorXd>(rims.data(), Eigen::Index(fields.rim.size())) = refinement.rims();
     }
-    return nb::make_tuple(new_position, new_rotation, covariance, slope);
+    return nb::make_tuple(new_position, new_rotation, covariance, slope, rims);
 }
 
 }  // namespace

@@ -29,7 +29,7 @@ _RIM_LEVELS = 0.2, 0.9  # of the light between ground and full scale, which deli
 _OVEREXPOSED_LIGHTS = 2.0 ** np.arange(0.0, 4.1, 0.25)  # of full scale: candidates for overexposed discs
 _MAX_DISC_SIZE = 64  # px: half of the greatest ball in a picture that is not reduced
 _MAX_DISCS = 48  # the largest, for a room full of small things
-_LENS_BLUR, _PIXEL_BLUR = 0.47, 0.29  # px, standard deviations in a picture in focus: half a pixel; one pixel's width
+IN_FOCUS, _PIXEL_BLUR = 0.47, 0.29  # px, standard deviations of a lens in focus: half a pixel; of one pixel's width
 
 
 def rim_shift(colour: ColourSettings) -> float:
@@ -48,14 +48,23 @@ def least_cover(colour: ColourSettings) -> float:
     return (1.0 - least) / (1.0 - least + least * _PRINT_REFLECTANCE)
 
 
+def edge_blur(lens_blur: Array | float, factor: int = 1) -> Array:
+    """Return the standard deviation of an edge's blur, px of a picture that is reduced `factor` times."""
+    return np.hypot(np.asarray(lens_blur) / factor, _PIXEL_BLUR)
+
+
+def lens_blur_of(edge: Array, factor: int) -> Array:
+    """Return the blur of the lens, px of the whole picture, that gives an `edge_blur`; 0 for less than a pixel's."""
+    return factor * np.sqrt(np.maximum(edge**2 - _PIXEL_BLUR**2, 0.0))
+
+
 def _outward(cover: float, factor: int = 1) -> float:
     """Return the px by which a rim is selected too far outward if pixels of more than `cover` are selected.
 
     A picture reduced `factor` times has the lens' blur reduced, but a pixel's blur unchanged; px are those of the
     reduced picture.
     """
-    edge = np.hypot(_LENS_BLUR / factor, _PIXEL_BLUR)
-    return float(-edge * NormalDist().inv_cdf(min(max(cover, _MIN_COVER), 1.0 - _MIN_COVER)))
+    return float(-edge_blur(IN_FOCUS, factor) * NormalDist().inv_cdf(min(max(cover, _MIN_COVER), 1.0 - _MIN_COVER)))
 
 
 def rim_shift_by_brightness(

@@ -12,12 +12,15 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.model import Model
 from spheremouse.wand.particles import Particles
 from spheremouse.wand.pose_velocity import PoseVelocityState
+from spheremouse.wand.rims import IN_FOCUS
 from spheremouse.wand.settings import ColourSettings, WandSettings
 
 PRIOR_MOTION_PROBABILITY = np.array([0.45, 0.45, 0.1])  # rest, constant velocity, sudden start
 EXPOSURES = np.array([0.0, 0.002, 0.004, 0.008, 0.012, 0.016, 0.024])  # s, of a picture: candidates
 # log-likelihood of each without evidence: the shortest one that explains the rims
 EXPOSURE_PRIOR = -np.arange(float(len(EXPOSURES)))
+# px, standard deviation of a lens's blur: that in focus, and others with which a ball is searched in turn
+LENS_BLURS = np.array([IN_FOCUS, 0.9, 1.4])
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,7 @@ class Track:
     unseen_frames: int = 0
     support: float = 0.0  # of the best peak in the last measured frame, `Modes.support`
     exposure_log_likelihood: Array = field(default_factory=EXPOSURE_PRIOR.copy)  # (n,) of each of `EXPOSURES`
+    lens_blur: Array = field(default_factory=lambda: LENS_BLURS[0])  # (c,) or () px, `Fields.lens_blur`
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
     measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost
     second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m
@@ -105,6 +109,8 @@ class WandState:
     frames: int = 0  # since the tracker began
     last_search: float = -np.inf  # s, last search of the whole picture
     frames_since_search: int = 0
+    rows: bytes = b""  # of the last picture, `sampled_rows`
+    repeats: int = 0  # frames in a row that showed it again
     colour_problem: Event | None = None  # that the last search of the whole picture found
     colour_problem_age: float = 0.0  # over the age at which it is reported although all balls are tracked
     colour_problem_stamp: float = -np.inf  # s, last update of it

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.tracker import Event, Frame, Status, Step
+from spheremouse.tracker import Event, Frame, Status, Step, sampled_rows
 from spheremouse.wand.colour import Fields, picture_colours
 from spheremouse.wand.estimate import estimate, measured_pose
 from spheremouse.wand.events import (
     BallHidden,
     SecondBall,
-    colour_problem,
-    colours_turned_away,
     missing_ball,
     second_ball_unconfirmed,
+    update_colour_problem,
     update_second_ball,
 )
 from spheremouse.wand.likelihood import Peak, disc_weights, log_likelihood, outline_log_likelihood
@@ -61,9 +60,10 @@ from spheremouse.wand.peaks import (
     refine_modes,
     search_picture,
 )
-from spheremouse.wand.pose_velocity import GATE, initialise, pose_difference, predict, update
-from spheremouse.wand.state import EXPOSURE_PRIOR, EXPOSURES, Track, WandPose, WandState, WandTracker
+from spheremouse.wand.pose_velocity import GATE, PoseVelocityState, initialise, pose_difference, predict, update
+from spheremouse.wand.state import EXPOSURE_PRIOR, EXPOSURES, LENS_BLURS, Track, WandPose, WandState, WandTracker
 
+_MAX_REPEATS = 2  # of a picture in a row, as of 10 Hz in a stream of 30; more show, without noise, a ball that stopped
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
 _DOUBTFUL_SUPPORT = 0.8  # below, spots are tried besides the prediction
 # since the frame before, the same: clear views differ by less, and a ball that turns fast shows most of a wrong pose
@@ -102,7 +102,14 @@ def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState
 
     The estimate is that of the ball `tracker.points`, and the state has those of all balls. Equal frames and seeds give
     equal poses.
+
+    A camera that has no new picture in time may give its last one again, with a new stamp. That would show that a ball
+    stands. At most two such frames in a row are predictions.
     """
+    rows = sampled_rows(frame.image)
+    if rows == state.rows and state.repeats < _MAX_REPEATS and any(t.phase == Status.TRACKING for t in state.tracks):
+        return _repeated(state, frame.stamp, tracker)
+    state = replace(state, rows=rows, repeats=0)
     image = np.ascontiguousarray(
         frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
     )
@@ -117,13 +124,14 @@ def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState
             for j, t in enumerate(tracks)
             if j != i and t.pose is not None and t.phase == Status.TRACKING
         ]
-        tracks[i], pose = tracker.follow(track, frame.stamp, SearchContext(scene, i, others), due, rng)
+        context = SearchContext(scene, i, others, _lens_blur(track, frame.sequence))
+        tracks[i], pose = tracker.follow(track, frame.stamp, context, due, rng)
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
             pose = replace(pose, event=None)  # it can be a declared ball that is not tracked yet
         poses.append(pose)
         tracks[i] = replace(tracks[i], measured=measured_pose(track.measured, pose, frame.stamp))
     after = replace(
-        _update_colour_problem(state, frame.stamp, scene, tracks),
+        update_colour_problem(state, frame.stamp, scene, tracks),
         tracks=tuple(tracks),
         last_search=frame.stamp if scene.searched else state.last_search,
         frames_since_search=0 if scene.searched else state.frames_since_search + 1,
@@ -140,14 +148,26 @@ def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState
     return Step(after, estimates[tracker.points], tuple(events))
 
 
-def _update_colour_problem(state: WandState, stamp: float, scene: Scene, tracks: list[Track]) -> WandState:
-    if scene.whole is None:
-        return state
-    problem, patience = colour_problem(scene.whole, colours_turned_away(scene.tracker, tracks))
-    unchanged = problem == state.colour_problem
-    age, lasted = (state.colour_problem_age, stamp - state.colour_problem_stamp) if unchanged else (0.0, 0.0)
-    age = age + lasted / (patience * scene.tracker.settings.look_around) if patience else 1.0
-    return replace(state, colour_problem=problem, colour_problem_age=age, colour_problem_stamp=stamp)
+def _repeated(state: WandState, stamp: float, tracker: WandTracker) -> Step[WandState]:
+    """Process a frame that shows the last picture again. The tracks go on from the frame before."""
+    poses, estimates = [], []
+    for track, pose in zip(state.tracks, state.poses, strict=True):
+        if track.phase == Status.TRACKING and track.pose_velocity is not None:
+            ahead = predict(track.pose_velocity, stamp, max_acceleration(tracker.settings))
+            place = {"position": ahead.position, "rotation": ahead.rotation, "covariance": ahead.covariance[:6, :6]}
+            poses.append(replace(pose, seen=False, **place))
+        else:
+            poses.append(pose)
+        estimates.append(estimate(track.measured, track, poses[-1], stamp, state.frames))
+    after = replace(state, poses=tuple(poses), estimates=tuple(estimates), frames=state.frames + 1)
+    return Step(replace(after, repeats=state.repeats + 1), estimates[tracker.points], ())
+
+
+def _lens_blur(track: Track, sequence: int) -> Array:
+    """Return the blur, `Fields.lens_blur`, of the ball's picture. A search tries another one in every other frame."""
+    if track.phase == Status.TRACKING or sequence % 2 == 0:
+        return track.lens_blur
+    return LENS_BLURS[sequence // 2 % len(LENS_BLURS)]
 
 
 def follow(
@@ -170,6 +190,7 @@ def follow(
         track, event = update_second_ball(track, far, first, dt, context)
     if not is_ball(modes, s):
         return _predict_hidden(track, stamp, dt, context, rng, modes)
+    assert modes.fields is not None
     average = _filter(particles, motions, modes, context.model, s.particles, rng)
     peak = average.peak
     covariance = limit_covariance(peak.covariance)
@@ -187,8 +208,15 @@ def follow(
         measurement_covariance=covariance,
         support=float(modes.support[0]),
         exposure_log_likelihood=_exposure_log_likelihood(track, pose_velocity.velocity, peak, modes, context.model),
+        lens_blur=modes.fields.learnt_lens_blur(peak.rims, _speed(pose_velocity, context)),
     )
     return after, _measured_pose(average, modes, context, event)
+
+
+def _speed(of: PoseVelocityState, context: SearchContext) -> float:
+    """Return px/s by which the fastest points of a ball move in the picture, at most."""
+    surface = np.linalg.norm(of.velocity[:3]) + context.ball.radius * np.linalg.norm(of.velocity[3:])
+    return float(surface * context.tracker.camera.fx / of.position[2])
 
 
 def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.Generator) -> tuple[Track, WandPose]:
@@ -201,6 +229,7 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
         match = float(modes.match[0]) if modes.peaks else 0.0
         missing = WandPose.unknown(ball.name, track.phase, missing_ball(ball, track.seen), match)
         return replace(track, stamp=stamp), missing
+    assert modes.fields is not None
     peaks = proposals(modes)
     weight, _ = normalise(peaks.log_mass)
     which = low_variance_indices(weight, s.particles, rng.random())
@@ -221,6 +250,7 @@ def acquire(track: Track, stamp: float, context: SearchContext, rng: np.random.G
         stamp=stamp,
         seen=stamp,
         exposure_log_likelihood=track.exposure_log_likelihood,
+        lens_blur=modes.fields.learnt_lens_blur(peak.rims, None),
     )
     after, event = update_second_ball(after, modes, modes.peaks[0].position, 0.0, context)
     return after, _measured_pose(average, modes, context, event)

@@ -161,7 +161,7 @@ def test_expected_field_equals_the_convolution_at_the_limb(turned):
     c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
     outward = np.array([c * facing, s]) / np.hypot(c * facing, s)  # on the ball: radial, aside
     along = -outward[1] * aside  # the tangent's part along the line of sight
-    point = [[along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0]]
+    point = [[along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0, 1e-3]]
     (e,), (g,) = kernels.expected_field(np.array(point, dtype=np.float32))
     grid = np.arange(-8.0, 8.0, 0.05)
     x, y = np.meshgrid(grid, grid)
@@ -239,8 +239,8 @@ def poses(p, R, n, spread):
 def test_expected_field_equals_its_twin():
     """Single precision in the same order of operations: the same bits but for the last ones of wider registers."""
     rng = np.random.default_rng(3)
-    low, high = [-1.0, -1.0, -1.0, 1.0, -0.2, 0.0, 0.5, -0.5], [1.0, 1.0, 1.0, 300.0, 0.3, 0.6, 9.0, 0.5]
-    points = rng.uniform(low, high, (500, 8)).astype(np.float32)
+    low, high = [-1.0, -1.0, -1.0, 1.0, -0.2, 0.0, 0.5, -1.5, 0.3], [1.0, 1.0, 1.0, 300.0, 0.3, 0.6, 9.0, 0.5, 3.0]
+    points = rng.uniform(low, high, (500, 9)).astype(np.float32)
     for got, expected in zip(kernels.expected_field(points), twins.expected_field(points), strict=True):
         np.testing.assert_array_equal(got, expected)
 
@@ -251,8 +251,8 @@ def test_likelihood_equals_its_twin(view, spread, glare, motion):
     """Poses near the truth and anywhere, some behind the camera or beside the picture.
 
     The tables of |m - e| have steps of 1/511, so a residual is off by at most 1/1022: per unit weight that is the
-    slope of the log density there, at most 1 / (2 * 511 * 0.065) of a unit for each of about a hundred points, with
-    either sign.
+    slope of the log density there, at most 1 / (2 * 511 * 0.065) of a unit for each of about a hundred points. Their
+    signs are random, so the sum has a standard deviation of 0.09.
     """
     seen, m, p, R, _ = view
     if glare:
@@ -263,7 +263,7 @@ def test_likelihood_equals_its_twin(view, spread, glare, motion):
     position, rotation = poses(p, R, 60, spread)
     value, match = log_likelihood(position, rotation, m, seen)
     expected = np.array([twins.log_likelihood(*pose, m, seen) for pose in zip(position, rotation, strict=True)])
-    np.testing.assert_allclose(value, expected[:, 0], atol=0.25)
+    np.testing.assert_allclose(value, expected[:, 0], atol=0.45)
     np.testing.assert_allclose(match, expected[:, 1], atol=2e-3)
 
 

@@ -8,8 +8,9 @@ from scipy.stats import multivariate_normal
 
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
+from spheremouse.wand.rims import edge_blur
 
-OUTLIER, SIGMA, FIELD_SIGMA = 0.08, 0.065, 1.2
+OUTLIER, SIGMA, FIELD_SIGMA, IN_FOCUS = 0.08, 0.065, 1.2, 0.55
 EDGE_SIGMA, EDGE_OFFSET, EDGE_HIDDEN = 0.2, 0.15, 0.3
 EDGE_UNIFORM = np.sqrt(2.0 * np.pi) * EDGE_SIGMA / 8.0
 ONE, HALF = np.float32(1.0), np.float32(0.5)
@@ -58,12 +59,16 @@ def scaled_asin(s):
 
 def expected_field(points):
     """Twin of `kernels.expected_field` in single precision."""
-    along, outward, facing, scale, inside, width, bend, offset = np.asarray(points, dtype=np.float32).T
+    along, outward, facing, scale, inside, width, bend, offset, blur = np.asarray(points, dtype=np.float32).T
     per_sigma, half_sigma = np.float32(1.0 / FIELD_SIGMA), np.float32(0.5 * FIELD_SIGMA)
     per_root = ONE / np.sqrt(np.maximum(ONE - along * along, np.float32(0.02)))
     across = scale * facing * per_root * per_sigma
-    bent = half_sigma * facing * bend * per_root * per_root * per_root / scale
-    shift = np.minimum(bent, np.float32(0.8)) - offset * per_sigma
+    wider = ONE + blur * blur * per_sigma * per_sigma
+    bent = half_sigma * wider * facing * bend * per_root * per_root * per_root / scale
+    apart, alone = (inside + width) * across * np.float32(FIELD_SIGMA), -offset
+    (_, slope), (opposite, steep) = normal(alone * (ONE / blur)), normal((apart - alone) * (ONE / blur))
+    both = alone + blur * (ONE - opposite) / np.maximum(slope - steep, np.float32(0.05))
+    shift = np.minimum(bent, np.float32(0.8)) + np.minimum(both, np.maximum(HALF * apart, alone)) * per_sigma
     (near, g), (far, slope) = normal(inside * across - shift), normal(width * across - shift)
     disc, g = np.maximum(near + far - ONE, np.float32(0.0)), g + slope
     aside = np.sqrt(np.maximum(ONE - facing * facing, np.float32(1e-6)))
@@ -123,7 +128,8 @@ def sight(p, R, model, fields, fixed=None):
         across = np.cross(x / length[:, None], tangent) / np.sqrt(np.maximum(1.0 - along**2, 0.02))[:, None]
         moved = (0.5 - fields.cover[np.maximum(colour, 0)]) * scale / radius * np.abs(np.sum(motion * across, axis=1))
         offset = np.copysign(np.hypot(offset, moved), moved)
-    points = np.column_stack([along, outward, facing, scale, table[:, 6:9], offset])
+    blur = np.broadcast_to(edge_blur(fields.lens_blur, fields.factor), fields.rim.shape)[np.maximum(colour, 0)]
+    points = np.column_stack([along, outward, facing, scale, table[:, 6:9], offset, blur])
     e, g = (np.where(bare, 0.0, one) for one in expected_field(points[q]))
     r = np.where(bare, m.max(axis=1), m[np.arange(len(q)), k] - e)
     veiled = (hidden > 0) & (r < 0) & ~bare
@@ -132,9 +138,16 @@ def sight(p, R, model, fields, fixed=None):
     return Sight(q, weight, m, e, r, g, hidden, disc_weight)
 
 
+def noise(fields):
+    """Return the standard deviation of a field."""
+    blur = np.broadcast_to(edge_blur(fields.lens_blur, fields.factor), fields.rim.shape)
+    return SIGMA * np.mean(np.maximum(np.sqrt((1.0 + blur**2) / (1.0 + IN_FOCUS**2)), 1.0))
+
+
 def log_likelihood(p, R, model, fields, sigma=SIGMA, fixed=None):
     """Twin of `kernels.log_likelihood` for one pose, without the table of |m - e|: return value and match."""
     s, fraction = sight(p, R, model, fields, fixed), np.clip(fields.fraction, 0.003, 0.5)
+    sigma = max(sigma, noise(fields))
     colour = model.points.colour[s.index]
     bare, value = colour < 0, 0.0
     m = s.m[bare]
@@ -164,7 +177,7 @@ def evidence_bounds(p, R, model, fields):
     s, fraction = sight(p, R, model, fields), np.clip(fields.fraction, 0.003, 0.5)
     k = model.points.colour[s.index]
     w, e, k = (one[k >= 0] for one in (s.w, s.e, k))
-    none = np.exp(-0.5 * (e / SIGMA) ** 2)
+    none = np.exp(-0.5 * (e / noise(fields)) ** 2)
     chance = (1 - OUTLIER) / ((1 - fraction[k]) * none + fraction[k])
     terms = w * np.log(none * chance + OUTLIER), w * np.log(chance + OUTLIER)
     return [[np.sum(term[k == one]) for one in range(len(fraction))] for term in terms]
@@ -188,7 +201,7 @@ def outline_log_likelihood(c, edges, model, factor):
 def refine_once(p, R, model, fields, edges):
     """Twin of `kernels.refine` with one round: one Gauss-Newton step. Return position and rotation."""
     count, factor = len(fields.rim), fields.factor
-    fraction = np.clip(fields.fraction, 0.003, 0.5)
+    fraction, sigma = np.clip(fields.fraction, 0.003, 0.5), noise(fields)
     distance = np.linalg.norm(p)
     half = 0.5 * factor * distance / model.lens[0]
     step = [half, half, half * min(distance / model.radius, 40.0), *[0.5 * half / model.radius] * 3]
@@ -213,11 +226,11 @@ def refine_once(p, R, model, fields, edges):
         J_outline.append((outline_residual(sides[0][0]) - outline_residual(sides[1][0])) / (2.0 * step[k]) * (k < 3))
     colour = model.points.colour[here.index]
     rows = np.column_stack([*J, *[np.where(colour == k, -here.g, 0.0) for k in range(count)], np.zeros(len(colour))])
-    inlier = (1 - OUTLIER) * np.exp(-0.5 * (here.r / SIGMA) ** 2)
+    inlier = (1 - OUTLIER) * np.exp(-0.5 * (here.r / sigma) ** 2)
     p_of = fraction[np.maximum(colour, 0)]
     m = np.where(colour < 0, 0.0, here.m[np.arange(len(colour)), np.maximum(colour, 0)] - here.r)
-    inlier /= (1 - p_of) * np.exp(-0.5 * (m / SIGMA) ** 2) + p_of
-    weight = here.w * inlier / (inlier + OUTLIER) / SIGMA**2
+    inlier /= (1 - p_of) * np.exp(-0.5 * (m / sigma) ** 2) + p_of
+    weight = here.w * inlier / (inlier + OUTLIER) / sigma**2
     edge_rows = np.column_stack([*J_outline, np.zeros((24, count)), -np.ones(24)])[found]
     edge_r, variance = outline_residual(p)[found], (EDGE_SIGMA * factor) ** 2
     seen = (1 - EDGE_HIDDEN) * np.exp(-0.5 * edge_r**2 / variance) / EDGE_UNIFORM
