@@ -48,6 +48,7 @@ class Controls:
     dynamic_rate: bool | None = None  # dim light lowers the frame rate
     focus: int | None = None
     zoom: int | None = None
+    sharpness: int | None = None
 
 
 def read_controls(node: Path) -> Controls | None:
@@ -79,16 +80,18 @@ def read_controls(node: Path) -> Controls | None:
             flag("EXPOSURE_AUTO_PRIORITY"),
             value("FOCUS_ABSOLUTE"),
             value("ZOOM_ABSOLUTE"),
+            value("SHARPNESS"),
         )
     finally:
         os.close(fd)
 
 
 def controls(c: Controls) -> list[Finding]:
-    """Return findings about exposure, mains, frame rate, motors and colours."""
+    """Return findings about exposure, mains, frame rate, motors, colours and sharpening."""
     focus = "set camera.focus in the configuration to its value at the calibration"
     now = "" if c.focus is None else f", at {c.focus}"
     white = "set camera.white_balance in the configuration, for example 4500"
+    sharpness = 'set camera.controls: ["sharpness=0"] in the configuration'
     flicker = c.automatic_exposure and c.mains == 0
     return [
         _exposure(c),
@@ -112,6 +115,11 @@ def controls(c: Controls) -> list[Finding]:
             c.automatic_white_balance,
             "the targets' colours change with the rest of the picture",
             white,
+        ),
+        classify(
+            "sharpening",
+            "this camera has no control for it" if c.sharpness is None else f"at {c.sharpness}",
+            (bool(c.sharpness), Verdict.WARNING, ": bright rims bias discs at the ball's edge", sharpness),
         ),
     ]
 

@@ -320,7 +320,7 @@ def test_stamps_that_lie():
 
 
 def test_what_a_camera_does_by_itself_is_a_warning():
-    fixed = Controls(0.01, False, False, False, False, 1, False, 30, 100)
+    fixed = Controls(0.01, False, False, False, False, 1, False, 30, 100, 0)
     assert {f.verdict for f in camera.controls(fixed)} == {OK}
     for change, name in (
         ({"automatic_exposure": True}, "exposure"),
@@ -328,6 +328,7 @@ def test_what_a_camera_does_by_itself_is_a_warning():
         ({"automatic_focus": True}, "focus"),
         ({"automatic_white_balance": True}, "white balance"),
         ({"dynamic_rate": True, "automatic_exposure": None}, "frame rate"),
+        ({"sharpness": 3}, "sharpening"),
     ):
         (told,) = [f for f in camera.controls(replace(fixed, **change)) if f.verdict is not OK]
         assert (told.name, told.verdict) == (name, WARNING)
