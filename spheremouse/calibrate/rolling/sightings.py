@@ -85,7 +85,10 @@ def track_rolling(frames: Iterable[Frame], rig: Rig, pose: Pose, settings: Setti
             into.discs = f.discs
     best = max(segments, key=lambda s: len(s.stamp))
     if len(best.stamp) < 10:
-        raise CalibrationError("the ball is hardly seen to turn: roll it on in all directions, slowly, for a minute")
+        raise CalibrationError(
+            "hardly any disc is seen to turn with the ball: roll it on in all directions, slowly, for a minute; "
+            "a pattern does not serve"
+        )
     joined = [s if s is best else _in_frame_of(best, s, rig, pose) for s in segments]
     rolling, sightings = _assign_discs([s for s in joined if s is not None], best.discs, rig, pose)
     return TrackedRolling(rolling, sightings, float(np.median(sizes)) if sizes else 1.0, lost, count)
