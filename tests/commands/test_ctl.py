@@ -76,7 +76,7 @@ def shown(width=80, **change):
 
 
 def test_there_is_a_command_for_every_request():
-    own, of_programs = {"reset", "export", "import"}, {"pictures", "scene"}
+    own, of_programs = {"reset", "export", "import"}, {"picture", "scene"}
     assert set(typer.main.get_group(cli_ctl.app).commands) == {*protocol.COMMANDS, *own} - of_programs
 
 
