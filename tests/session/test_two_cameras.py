@@ -233,8 +233,14 @@ def test_the_daemon_goes_on_with_one_camera_and_says_which_is_gone(world, monkey
     world.reach("tracking")
     world.turn()
     assert [(each["trouble"], each["restarts"]) for each in world.ask("status")["cameras"]] == [("", 0)] * 2
-    shown = [world.client.picture().annotations for _ in range(2)]
-    discs = {annotations["camera"]: annotations["predicted"] for annotations in shown}
+    discs = {}
+
+    def both():
+        shown = world.client.picture().annotations
+        discs[shown["camera"]] = shown["predicted"]
+        return len(discs) == 2
+
+    world.until(both, "pictures of both")
     assert discs[0] != discs[1]
     world.missing = "unplugged"
     said(world, "camera 1: unplugged; the other goes on")
