@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 S = TypeVar("S")
 _SAMPLED_ROWS = 32  # a disc of 15 px crosses one at 480 rows
+# of a picture in a row, as of 10 Hz in a stream of 30; more show, without noise, a body that stopped
+MAX_REPEATS = 2
 NO_STATISTICS: Mapping[str, float] = MappingProxyType({})
 
 

@@ -58,11 +58,10 @@ from spheremouse.ball.state import (
 )
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.tracker import Estimate, Frame, Status, Step, check_size
+from spheremouse.tracker import MAX_REPEATS, Estimate, Frame, Status, Step, check_size
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is known
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
-_MAX_REPEATS = 2  # of a picture in a row, as of 10 Hz in a stream of 30; more show, without noise, a ball that stopped
 _TURNING = 21.1  # chi-square of a rate that is not zero: 3 degrees of freedom, wrong in 1 of 10,000
 _MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
 
@@ -87,7 +86,7 @@ def step(
     state = facing(state, frame.camera)
     tracker = current(state, tracker)
     picture = LastPicture.of(frame.image, state.filter.rate)
-    if picture.rows == state.picture.rows and state.picture.repeats < _MAX_REPEATS and _turns_steadily(state):
+    if picture.rows == state.picture.rows and state.picture.repeats < MAX_REPEATS and _turns_steadily(state):
         return _predicted(state, frame.stamp, tracker)
     state = state._replace(picture=picture)
     if state.watch is None:

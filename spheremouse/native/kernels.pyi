@@ -498,9 +498,10 @@ def evidence_bounds(position: _Float, rotation: _Float, ball: BallModel, fields:
 def expected_field(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the expected field e of n points of discs, (n,), and de / d(rim offset in px of the field), (n,).
 
-    Each row of `points`, (n, 8), has: the scalar product of the rim's tangent and the line of sight; that of the
+    Each row of `points`, (n, 9), has: the scalar product of the rim's tangent and the line of sight; that of the
     direction out of the disc; the cosine of the viewing angle; px per rad seen from the front; the distances to the
-    near and the far rim, rad; the rim's curvature 1 / tan(angle); the px by which bounds select the rim outward.
+    near and the far rim, rad; the rim's curvature 1 / tan(angle); the px by which bounds select the rim outward; the
+    standard deviation of its blur, px.
     """
 
 # spheremouse/wand/limb.cpp

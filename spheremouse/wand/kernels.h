@@ -10,7 +10,7 @@ using Positions = Array<const double, -1, 3>;
 using Rotations = Array<const double, -1, 3, 3>;
 
 constexpr double SIGMA = 0.065;       // of a field's range, `likelihood.SIGMA`
-constexpr double IN_FOCUS = 0.55;     // px, blur of a rim in focus
+constexpr double SHARP_RIM = 0.55;    // px, blur of a rim in focus: `rims.edge_blur`
 constexpr double OUTLIER = 0.08;      // fraction of the points that a finger, a highlight or a stick hides
 constexpr double MIN_FACING = 0.08;   // cosine of the viewing angle at which a point has weight
 constexpr double FULL_FACING = 0.25;  // and full weight
@@ -96,7 +96,7 @@ class FieldsView {
     double sigma = 0.0;            // of the field's range
     std::vector<double> fraction;  // of each colour
     std::vector<Rim> rim;          // of each colour
-    Vector<6> exposure_motion;                            // m, rad in cam: of the ball; 0 if unknown
+    Vector<6> exposure_motion;     // m, rad in cam: of the ball; 0 if unknown
 
   private:
     Array<const uint8_t, -1, -1, -1> arrays_[2];  // that own the planes

@@ -35,8 +35,8 @@ inline float scaled_asin(float sine) {
 /// Write the expected field e and de / d(rim offset) of n points. The arguments are those of `kernels.expected_field`.
 ///
 /// The last one is the standard deviation of a rim's blur, px. A rim alone is selected s px inward, where a pixel has
-/// the fraction Phi(s / blur) of print. Another rim w px away takes print away too. There the pixel that is selected lies
-/// x px inward, with Phi(x / blur) + Phi((w - x) / blur) - 1 = Phi(s / blur): one step of Newton's method from s.
+/// the fraction Phi(s / blur) of print. Another rim w px away takes print away too. There the pixel that is selected
+/// lies x px inward, with Phi(x / blur) + Phi((w - x) / blur) - 1 = Phi(s / blur): one step of Newton's method from s.
 WIDE void expect(size_t n, const std::vector<float> (&argument)[9], float* e_out, float* g_out) {
     const float *along = argument[0].data(), *outward = argument[1].data(), *facing = argument[2].data();
     const float *scale = argument[3].data(), *inside = argument[4].data(), *width = argument[5].data();
@@ -296,8 +296,8 @@ BallModel::BallModel(nb::handle table_, nb::handle colour_, double radius, nb::h
     }
 }
 
-/// Return the noise of a rim over that of one in focus: a pixel's width, and what noise moves it by, which grows as blur.
-static double rim_noise(double blur) { return std::sqrt((1.0 + blur * blur) / (1.0 + IN_FOCUS * IN_FOCUS)); }
+/// Return the noise of a rim over that of one in focus. A pixel's width adds to a part that grows as the blur.
+static double rim_noise(double blur) { return std::sqrt((1.0 + blur * blur) / (1.0 + SHARP_RIM * SHARP_RIM)); }
 
 FieldsView::FieldsView(nb::handle weight_, nb::handle glare_, nb::handle place_, nb::handle fraction_, nb::handle rims_,
                        nb::handle exposure_motion_)

@@ -125,8 +125,8 @@ class Refinement {
             const double p = fields_.fraction[size_t(std::max(k, 0))], r = here_.r[i] / width, e = here_.e[i] / width;
             const double inlier = (1.0 - OUTLIER) * std::exp(-0.5 * r * r) / ((1.0 - p) * std::exp(-0.5 * e * e) + p);
             const double residual = here_.r[i] - (k >= 0 ? here_.g[i] * offsets_[k] : 0.0);
-            add(here_.w[i] * inlier / (inlier + OUTLIER) / (fields_.sigma * fields_.sigma), J_.row(i).transpose(), residual, k,
-                -here_.g[i]);
+            const double weight = here_.w[i] * inlier / (inlier + OUTLIER) / (fields_.sigma * fields_.sigma);
+            add(weight, J_.row(i).transpose(), residual, k, -here_.g[i]);
         }
         const double f = fields_.factor, variance = EDGE_SIGMA * f * EDGE_SIGMA * f;
         for (size_t q = 0; q < DIRECTIONS; q++) {

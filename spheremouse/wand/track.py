@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.tracker import Event, Frame, Status, Step, sampled_rows
+from spheremouse.tracker import MAX_REPEATS, Event, Frame, Status, Step, sampled_rows
 from spheremouse.wand.colour import Fields, picture_colours
 from spheremouse.wand.estimate import estimate, measured_pose
 from spheremouse.wand.events import (
@@ -63,7 +63,6 @@ from spheremouse.wand.peaks import (
 from spheremouse.wand.pose_velocity import GATE, PoseVelocityState, initialise, pose_difference, predict, update
 from spheremouse.wand.state import EXPOSURE_PRIOR, EXPOSURES, LENS_BLURS, Track, WandPose, WandState, WandTracker
 
-_MAX_REPEATS = 2  # of a picture in a row, as of 10 Hz in a stream of 30; more show, without noise, a ball that stopped
 _MIN_FRAMES_BETWEEN_SEARCHES = 15  # of the whole picture: a slow camera leaves no time for more
 _DOUBTFUL_SUPPORT = 0.8  # below, spots are tried besides the prediction
 # since the frame before, the same: clear views differ by less, and a ball that turns fast shows most of a wrong pose
@@ -107,7 +106,7 @@ def step(state: WandState, frame: Frame, tracker: WandTracker) -> Step[WandState
     stands. At most two such frames in a row are predictions.
     """
     rows = sampled_rows(frame.image)
-    if rows == state.rows and state.repeats < _MAX_REPEATS and any(t.phase == Status.TRACKING for t in state.tracks):
+    if rows == state.rows and state.repeats < MAX_REPEATS and any(t.phase == Status.TRACKING for t in state.tracks):
         return _repeated(state, frame.stamp, tracker)
     state = replace(state, rows=rows, repeats=0)
     image = np.ascontiguousarray(

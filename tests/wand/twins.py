@@ -10,7 +10,7 @@ from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
 from spheremouse.wand.rims import edge_blur
 
-OUTLIER, SIGMA, FIELD_SIGMA, IN_FOCUS = 0.08, 0.065, 1.2, 0.55
+OUTLIER, SIGMA, FIELD_SIGMA, SHARP_RIM = 0.08, 0.065, 1.2, 0.55
 EDGE_SIGMA, EDGE_OFFSET, EDGE_HIDDEN = 0.2, 0.15, 0.3
 EDGE_UNIFORM = np.sqrt(2.0 * np.pi) * EDGE_SIGMA / 8.0
 ONE, HALF = np.float32(1.0), np.float32(0.5)
@@ -141,7 +141,7 @@ def sight(p, R, model, fields, fixed=None):
 def noise(fields):
     """Return the standard deviation of a field."""
     blur = np.broadcast_to(edge_blur(fields.lens_blur, fields.factor), fields.rim.shape)
-    return SIGMA * np.mean(np.maximum(np.sqrt((1.0 + blur**2) / (1.0 + IN_FOCUS**2)), 1.0))
+    return SIGMA * np.mean(np.maximum(np.sqrt((1.0 + blur**2) / (1.0 + SHARP_RIM**2)), 1.0))
 
 
 def log_likelihood(p, R, model, fields, sigma=SIGMA, fixed=None):

@@ -122,7 +122,7 @@ def _begin(
 ) -> tuple[Views, Settings, Adjusted]:
     """Find and track the ball by dark discs, or else by light ones; of two failures raise the first.
 
-    What lies between light discs is dark, and may pass for discs until it is tracked.
+    The dark ball between light discs may pass for dark discs until it is tracked.
     """
     failed: list[CalibrationError] = []
     for polarity, projection in _POLARITIES:
