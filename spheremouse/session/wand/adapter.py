@@ -29,7 +29,7 @@ from spheremouse.session.tracker_adapter import FrameResult, LogMessages, Subjec
 from spheremouse.session.wand.messages import WandMessages
 from spheremouse.tracker import Estimate, Event, Frame, Status
 from spheremouse.wand.axes import axes_of as six_axes
-from spheremouse.wand.events import BallEvent
+from spheremouse.wand.events import BallEvent, BallHidden
 from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
@@ -221,19 +221,27 @@ def wand_subject(tracker: WandTracker, settings: Configuration) -> Subject:
     )
 
 
+def _is_hidden(pose: WandPose) -> bool:
+    """Return whether the picture does not show a tracked ball. A picture that comes again shows it."""
+    return isinstance(pose.event, BallHidden)
+
+
 def _around_balls(poses: tuple[WandPose, ...], tracker: WandTracker) -> Image:
     """Return a mask, (h, w), that is 255 on the balls seen and close around them."""
     keep = np.zeros((tracker.camera.height, tracker.camera.width), dtype=np.uint8)
     for ball, pose in zip(tracker.balls, poses, strict=True):
-        if pose.seen and pose.position is not None and pose.position[2] > _SNAPSHOT_RADIUS_RADII * ball.radius:
+        if (
+            not _is_hidden(pose)
+            and pose.position is not None
+            and pose.position[2] > _SNAPSHOT_RADIUS_RADII * ball.radius
+        ):
             around = sphere_outline(pose.position, _SNAPSHOT_RADIUS_RADII * ball.radius, tracker.camera)
             cv2.fillPoly(keep, [np.rint(around[np.isfinite(around).all(axis=1)]).astype(np.int32)], 255)
     return keep
 
 
 def _ball_status(pose: WandPose) -> BallStatus:
-    hidden = pose.phase is Status.TRACKING and not pose.seen
-    state, axes = "hidden" if hidden else str(pose.phase), None
+    state, axes = "hidden" if _is_hidden(pose) else str(pose.phase), None
     if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
         axes = six_axes(pose.position, pose.rotation, pose.covariance)
     return BallStatus(
