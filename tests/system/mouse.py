@@ -7,15 +7,18 @@ import fcntl
 import os
 import subprocess
 import sys
+import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 import reporting
+from reporter_world import EXACT
 
 from spheremouse.errors import OutputError
 from spheremouse.output import gamepad, open_output, uinput
+from spheremouse.output.reporter import OutputThread
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
@@ -145,9 +148,11 @@ def test_name_ids_and_capabilities_of_the_gamepad():
 def test_the_sticks_arrive_and_are_centred_when_reports_stop():
     rng = np.random.default_rng(12)
     seen = {e.ABS_X: 0, e.ABS_Y: 0, e.ABS_RX: 0}
-    with open_output("gamepad:full=90,dead=0,curve=2") as output, reading(gamepad.NAME, e.EV_ABS) as report:
+    thread = OutputThread(lambda: open_output("gamepad:full=90,dead=0,curve=2"), EXACT, print)
+    reporting.until(lambda: devices(gamepad.NAME))
+    with closing(thread), reading(gamepad.NAME, e.EV_ABS) as report:
         for rate in rng.uniform(-2.0, 2.0, (20, 3)):
-            output.send(reporting.rolling(rate))
+            thread.submit(reporting.rolling(rate), time.monotonic())
             sticks = gamepad.to_sticks(reporting.rolling(rate), gamepad.check("full=90,dead=0,curve=2"))
             wanted = dict(zip(seen, sticks, strict=True))
             while seen != wanted:  # a slow guest may release them in between
