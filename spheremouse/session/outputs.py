@@ -62,8 +62,7 @@ class Outputs:
         self._late: list[threading.Thread] | None = []  # started by `begin`
         self._paused = False
         self.counts = _NONE  # of all frames, as the main output gets them
-        self._submitted = _NONE  # those of them that the main output of now was given
-        self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the main outputs before this one
+        self._past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the run, less the main output's own
         self._all = [self._output(spec, settings, len(specs) > 1) for spec in specs]
 
     def begin(self) -> None:
@@ -78,7 +77,7 @@ class Outputs:
         counts = first.submit(report, taken, wanted=wanted)
         for output in others:
             output.submit(report, taken, wanted=True)
-        self._submitted, self.counts = plus(self._submitted, counts), plus(self.counts, counts)
+        self.counts = plus(self.counts, counts)
 
     def end_prediction(self, now: float) -> None:
         """End the extrapolation of the pointer at `now` (s, monotonic), because no frame will correct it."""
@@ -99,7 +98,7 @@ class Outputs:
         """Use other outputs; those that stay go on. ControlError if the system refuses a thread: then all stay."""
         kept = {output.spec: output for output in self._all if output.spec in specs}
         removed = [output.thread for output in self._all if output.spec not in specs]
-        before, submitted, closed = self.main, self._submitted, Future[bool]()
+        before, closed = self.main, Future[bool]()
         made: dict[str, RunOutput] = {}
         try:
             for spec in (s for s in specs if s not in kept):
@@ -112,16 +111,17 @@ class Outputs:
             raise
         self._all = [(kept | made)[spec] for spec in specs]
         self.change(settings)
-        another_main = self.main is not before
-        if another_main:
-            self._submitted = _NONE
+        if self.main is not before:
+            self._exclude(self.main.thread)
+            if before.thread not in removed:
+                self._include(before.thread)
 
         def retire() -> None:
             for thread in removed:
                 thread.close()
             closed.set_result(True)
-            if another_main:
-                self._call(lambda: self._count_past(before.thread, submitted))
+            if before.thread in removed:
+                self._call(lambda: self._include(before.thread))
 
         self._workers.submit(OUTPUT, retire)
 
@@ -184,7 +184,12 @@ class Outputs:
     def _begin(self, thread: threading.Thread) -> None:
         begin(thread) if self._late is None else self._late.append(thread)
 
-    def _count_past(self, old: OutputThread, submitted: Counts) -> None:
-        """Add the counts that a closed output did not send, those in its queue included."""
-        status, (reports, unsent) = old.status(), self._past
-        self._past = (reports + status.reports, plus(unsent, minus(submitted, status.sent)))
+    def _include(self, thread: OutputThread) -> None:
+        """Add the sums of an output that is not the main one any more to those of the run."""
+        status, (reports, unsent) = thread.status(), self._past
+        self._past = reports + status.reports, plus(unsent, status.unsent)
+
+    def _exclude(self, thread: OutputThread) -> None:
+        """Subtract the sums of an output that becomes the main one: until now it was another one."""
+        status, (reports, unsent) = thread.status(), self._past
+        self._past = reports - status.reports, minus(unsent, status.unsent)

@@ -194,6 +194,26 @@ def test_a_main_output_that_is_exchanged_while_others_are_still_closed_is_counte
     assert (status.reports, status.unsent) == (1, (0, 0, 0))
 
 
+@pytest.mark.parametrize("later", [["b", "c"], ["ba", "c"], ["ba", "ab", "ba", "c"]])
+def test_an_output_enters_the_sums_of_the_run_while_it_is_the_main_one(run, later):
+    """Also if it was another one before, or is another one afterwards."""
+    made = run(*"ab")
+    for exchanged, names in enumerate(["ab", *later]):
+        if exchanged:
+            made.next(*names)
+        sinks = [made.by_name[name] for name in names]
+        due = [sink.counts[0] + (7 if k else 5) for k, sink in enumerate(sinks)]
+        made.give(2, 0, 0, wanted=False)
+        made.give(5, 0, 0)
+        until(lambda sinks=sinks, due=due: [sink.counts[0] for sink in sinks] == due)
+    made.workers.end(OUTPUT)
+    for action in made.todo:
+        action()
+    frames = 1 + len(later)
+    (_, status), *_ = made.outputs.status()
+    assert (status.reports, status.unsent, made.outputs.unsent) == (frames, (2 * frames, 0, 0), (2 * frames, 0, 0))
+
+
 def test_the_run_goes_on_until_all_outputs_have_ended(run):
     made = run("a", "b")
     made.sinks[0].ends = True
