@@ -58,11 +58,11 @@ from spheremouse.ball.state import (
 )
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
+from spheremouse.geometry.statistics import is_nonzero
 from spheremouse.tracker import MAX_REPEATS, Estimate, Frame, Status, Step, check_size
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is known
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
-_TURNING = 21.1  # chi-square of a rate that is not zero: 3 degrees of freedom, wrong in 1 of 10,000
 _MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
 
 
@@ -110,7 +110,7 @@ def step(
 def _turns_steadily(state: TrackState) -> bool:
     """Return whether the ball is tracked, and turns at a rate that has not changed by half since before the picture."""
     rate, covariance = state.filter.rate, state.filter.covariance[3:, 3:]
-    if state.status is not Status.TRACKING or rate @ np.linalg.solve(covariance, rate) < _TURNING:
+    if state.status is not Status.TRACKING or not is_nonzero(rate, covariance):
         return False
     return bool(np.linalg.norm(rate - state.picture.rate) < 0.5 * np.linalg.norm(rate))
 

@@ -1,4 +1,4 @@
-"""Quantiles of chi-square and F, the false-alarm rate of tests, correlations, and a robust standard deviation."""
+"""Quantiles of chi-square and F, tests and their false-alarm rates, correlations, and a robust standard deviation."""
 
 import math
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.rotation import Array
 
 FALSE_ALARM = 1e-3  # probability that a test rejects a true hypothesis
+_NONZERO_CHI2 = 21.1  # chi-square with 3 degrees of freedom, 99.99 %
 _SIGMA_PER_MAD = 1.4826  # standard deviation over median of the absolute values, of normal errors
 
 
@@ -28,6 +29,11 @@ def ratio_gate(p: float, dof: float, other: float) -> float:
 def poisson_tail(k: int, mean: float) -> float:
     """Return the probability, within 1e-15, that a Poisson variable exceeds k."""
     return 1.0 - math.exp(-mean) * sum(mean**i / math.factorial(i) for i in range(k + 1))
+
+
+def is_nonzero(vector: Array, covariance: Array) -> bool:
+    """Return whether a vector (3,) with a covariance (3, 3) differs from zero: wrong for one zero vector in 10,000."""
+    return bool(vector @ np.linalg.solve(covariance, vector) > _NONZERO_CHI2)
 
 
 def correlation(covariance: Array) -> Array:

@@ -22,7 +22,7 @@ from spheremouse.geometry.rotation import (
     tangent_basis,
     to_euler,
 )
-from spheremouse.geometry.statistics import gate, mad_sigma, poisson_tail, ratio_gate
+from spheremouse.geometry.statistics import gate, is_nonzero, mad_sigma, poisson_tail, ratio_gate
 
 
 def vectors(limit):
@@ -194,3 +194,12 @@ def test_gates_are_quantiles():
     for p, dof in ((0.999, 1.0), (0.999, 2.0), (0.5, 7.0), (1.0 - 1e-9, 40.0)):
         assert_allclose(gate(p, dof), stats.chi2.ppf(p, dof), rtol=1e-7)
         assert_allclose(ratio_gate(p, dof, 12.0), stats.f.ppf(p, dof, 12.0), rtol=1e-6)
+
+
+def test_one_zero_vector_in_ten_thousand_counts_as_nonzero():
+    """In any direction: its squared Mahalanobis distance is a chi-square with 3 degrees of freedom."""
+    root = np.random.default_rng(0).normal(size=(3, 3))
+    for direction in np.vstack([np.eye(3), np.full(3, 3**-0.5)]):
+        for p, nonzero in ((0.99989, False), (0.99991, True)):
+            vector = np.sqrt(gate(p, 3.0)) * root @ direction
+            assert is_nonzero(vector, root @ root.T) == nonzero

@@ -10,10 +10,10 @@ from spheremouse.ball.filters.so3_eccentric import ECCENTRIC_SIGMA
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
 from spheremouse.geometry.least_squares.adjust import Jacobian, adjust
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
+from spheremouse.geometry.statistics import is_nonzero
 
 RATES = 0.005  # relative error of rates from differences of attitudes, when a hand pushes
 GLOBAL, READOUT, ECCENTRICITY = 7, 3, slice(4, 7)  # unknowns before the discs: direction 2, log ratio, and these
-_ECCENTRIC_CHI2 = 21.1  # with 3 degrees of freedom: one centred ball in ten thousand exceeds it
 _MIN_READOUT_SIGMA = 1e-7  # s, for a readout that is known exactly
 
 
@@ -66,8 +66,7 @@ class RollingAdjustment:
     @property
     def is_eccentric(self) -> bool:
         """Return whether the ball's centre is significantly off the point that it turns about."""
-        e = self.rolling.eccentricity
-        return bool(e @ np.linalg.solve(self.eccentricity_covariance, e) > _ECCENTRIC_CHI2)
+        return is_nonzero(self.rolling.eccentricity, self.eccentricity_covariance)
 
     @property
     def rms(self) -> float:
