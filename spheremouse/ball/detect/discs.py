@@ -54,12 +54,15 @@ _MIN_SIGMA_FRACTION = 0.25  # of the settings' sigma: so the contrast still coun
 _NOTHING_LEARNT = SearchState()
 _NO_DISCS = np.zeros((0, 3))
 
+Polarity = Literal["auto", "dark", "light"]
+PROJECTIONS: dict[Polarity, Projection] = {"dark": GREY, "light": NEGATIVE}  # in which discs of a polarity are dark
+
 
 @dataclass(frozen=True, slots=True)
 class DiscSettings:
     """Appearance of discs, beyond their geometry."""
 
-    polarity: Literal["auto", "dark", "light"] = param(
+    polarity: Polarity = param(
         "auto", "-", "discs are darker or lighter than the ball; auto finds this, and the colours that separate them"
     )
     weights: tuple[float, ...] = param(
@@ -112,7 +115,7 @@ class DiscSettings:
         """The configured projection of colours; None: the tracker determines it."""
         if self.weights:
             return normalise(np.array(self.weights))
-        return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
+        return PROJECTIONS.get(self.polarity)
 
 
 @dataclass(frozen=True, slots=True)

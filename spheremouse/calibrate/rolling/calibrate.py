@@ -7,15 +7,14 @@ check that the camera stood still.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.detect.discs import DiscSettings
-from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, projected
+from spheremouse.ball.detect.discs import PROJECTIONS, DiscSettings
+from spheremouse.ball.detect.projection import Projection, projected
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
@@ -34,7 +33,6 @@ _VIEW_INTERVAL = 0.5  # s
 _MAX_VIEWS, _MAX_COLOUR_VIEWS = 240, 30
 _MAX_FEATURES = 150  # places in the room, for the check that the camera stood still
 _MAX_SHIFT = 0.5  # px; a larger one is that of a camera that was moved
-_POLARITIES: tuple[tuple[Literal["dark", "light"], Projection], ...] = (("dark", GREY), ("light", NEGATIVE))
 
 
 @dataclass(slots=True)
@@ -125,7 +123,7 @@ def _begin(
     The dark ball between light discs may pass for dark discs until it is tracked.
     """
     failed: list[CalibrationError] = []
-    for polarity, projection in _POLARITIES:
+    for polarity, projection in PROJECTIONS.items():
         settings = Settings(discs=DiscSettings(polarity=polarity))
         try:
             views, found, seconds = _first_pass(footage, camera, progress, projection)
