@@ -70,22 +70,16 @@ def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
 
 
 def test_the_stage_that_a_setting_changes_is_shown_before_and_now(page, service):
-    slider = page.locator('[data-key="discs.contrast"] .slider')
-    slider.scroll_into_view_if_needed()
-    box = slider.bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.down()
+    # No disc is light. With a high `discs.contrast`, the tracker would still find discs where the map predicts them.
+    field(page, "tune", "discs.polarity").select_option("light")
     figures = page.locator(".comparison figure")
     figures.first.wait_for()
     before = figures.first.locator("canvas").evaluate(DRAWN)
     words = re.fullmatch(r"Before: (\d+) of (\d+) contours used", figures.first.inner_text())
     assert 0 < int(words[1]) <= int(words[2])
-    assert figures.last.inner_text().startswith("Now: ")
-    page.mouse.move(box["x"] + box["width"] - 1, box["y"] + box["height"] / 2)  # no disc has so much contrast
     wait_for("no contour", lambda: figures.last.inner_text() == "Now: 0 of 0 contours used")
     stays = figures.first.locator("canvas").evaluate(DRAWN) == before
     assert stays  # pytest takes minutes to compare the bytes
-    page.mouse.up()
     page.locator("#undo").click()
     wait_for("the contours", lambda: int(re.search(r"\d+", figures.last.inner_text())[0]) >= int(words[1]) - 2)
 
