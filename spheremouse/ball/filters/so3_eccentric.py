@@ -69,8 +69,5 @@ def as_eccentric(state: So3State, radius: float) -> So3State | None:
 def _effect(state: So3State) -> Array:
     """Return the effect, (n, 3), of an error of the eccentricity on all errors, given those that are held."""
     held = np.r_[ECCENTRICITY, RIG.start if state.holds_rig else AXES : state.map_row - 1]
-    held = held[state.joint[held, held] > 0.0]
-    sigma = np.sqrt(state.joint[held, held])
-    correlation = state.joint[np.ix_(held, held)] / np.outer(sigma, sigma)
-    by_held = state.joint[:, held] / sigma @ np.linalg.pinv(correlation, hermitian=True) / sigma
-    return by_held[:, :3]
+    by_held, *_ = np.linalg.lstsq(state.joint[np.ix_(held, held)], state.joint[held])
+    return np.asarray(by_held[:3].T, dtype=float)
