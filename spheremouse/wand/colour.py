@@ -70,18 +70,17 @@ class Fields:
     colours: tuple[str, ...]
     rim: Array  # (c,) px of the field by which a rim between print and white is selected too far outward
     rim_sigma: Array  # (c,) px, its standard deviation
+    edge: Array  # (c,) px of the field, standard deviation of a rim's blur
     cover: Array  # (c,) least fraction of print in a selected pixel
     glare: NDArray[np.uint8]  # (1, h, w) 255 inside glare, blurred as `weight`; (0, 1, 1) without glare
     exposure_motion: Array = field(default_factory=lambda: np.zeros(6))  # m, rad in cam: of the ball; 0 if unknown
-    lens_blur: Array = field(default_factory=lambda: np.array(IN_FOCUS))  # (c,) or () px of the whole picture
 
     kernel: kernels.FieldsView = field(init=False)  # the same for native functions
 
     def __post_init__(self) -> None:
         place = np.array([self.left, self.top, self.factor], dtype=float)
         fraction = np.clip(self.fraction, _MIN_FRACTION, _MAX_FRACTION)
-        blur = np.broadcast_to(edge_blur(self.lens_blur, self.factor), self.rim.shape)
-        rims = np.column_stack([self.rim, self.rim_sigma, blur, self.cover])
+        rims = np.column_stack([self.rim, self.rim_sigma, self.edge, self.cover])
         view = kernels.FieldsView(self.weight, self.glare, place, fraction, rims, self.exposure_motion)
         object.__setattr__(self, "kernel", view)
 
@@ -90,8 +89,9 @@ class Fields:
 
         `lens_blur` is its standard deviation in each colour, (c,), or in all, (), px of the whole picture.
         """
-        wider = edge_blur(lens_blur, self.factor) / edge_blur(self.lens_blur, self.factor)
-        return replace(self, rim=wider * self.rim, rim_sigma=wider * self.rim_sigma, lens_blur=lens_blur)
+        edge = np.broadcast_to(edge_blur(lens_blur, self.factor), self.edge.shape)
+        wider = edge / self.edge
+        return replace(self, rim=wider * self.rim, rim_sigma=wider * self.rim_sigma, edge=edge)
 
     def learnt_lens_blur(self, offset: Array, speed: float | None) -> Array:
         """Return the blur in each colour, (c,), after a picture whose rims are `offset` px of the field farther out.
@@ -100,8 +100,7 @@ class Fields:
         which the ball moves at `speed` (px of the whole picture per s) counts less. The first one, without a speed,
         counts in full.
         """
-        edge = np.broadcast_to(edge_blur(self.lens_blur, self.factor), self.rim.shape)
-        known = np.abs(self.rim) > _MIN_RIM * edge
+        edge, known = self.edge, np.abs(self.rim) > _MIN_RIM * self.edge
         ratio = np.divide(self.rim + offset, self.rim, out=np.ones(len(edge)), where=known)
         gain = 1.0
         if speed is not None:
@@ -161,7 +160,8 @@ def colour_fields(
         for name, picture, bound in zip(names, binary, bounds, strict=True)
     ]
     shift, sigma, cover = (np.array(each, dtype=float) for each in zip(*rim, strict=True))
-    return Fields(weight, binary, left, top, factor, fraction, names, shift, sigma, cover, glare)
+    edge = np.full(len(names), edge_blur(IN_FOCUS, factor))
+    return Fields(weight, binary, left, top, factor, fraction, names, shift, sigma, edge, cover, glare)
 
 
 def _bounds(colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float) -> NDArray[np.float32]:

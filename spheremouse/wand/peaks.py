@@ -69,7 +69,7 @@ class SearchContext:
     scene: Scene
     index: int  # of the ball
     others: list[Array]  # (3,) m, cam: positions of the other balls
-    lens_blur: Array  # (c,) or () px, `Fields.lens_blur`
+    lens_blur: Array  # (c,) or () px, `Fields.with_lens_blur`
 
     def part(self, region: Region | None, factor: int) -> Fields:
         """Return the fields of a region, reduced `factor` times, with the ball's blur; None is the whole picture."""

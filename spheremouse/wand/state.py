@@ -83,7 +83,7 @@ class Track:
     unseen_frames: int = 0
     support: float = 0.0  # of the best peak in the last measured frame, `Modes.support`
     exposure_log_likelihood: Array = field(default_factory=EXPOSURE_PRIOR.copy)  # (n,) of each of `EXPOSURES`
-    lens_blur: Array = field(default_factory=lambda: LENS_BLURS[0])  # (c,) or () px, `Fields.lens_blur`
+    lens_blur: Array = field(default_factory=lambda: LENS_BLURS[0])  # (c,) or () px, `Fields.with_lens_blur`
     next_spot: int = 0  # spot with which the next search begins, if one frame has too many spots for one search
     measured: MeasuredPose | None = None  # None: the ball was never seen, or it is lost
     second: tuple[int, Array] | None = None  # frames in a row with an undeclared ball like it, and its position, (3,) m

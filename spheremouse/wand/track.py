@@ -163,7 +163,7 @@ def _repeated(state: WandState, stamp: float, tracker: WandTracker) -> Step[Wand
 
 
 def _lens_blur(track: Track, sequence: int) -> Array:
-    """Return the blur, `Fields.lens_blur`, of the ball's picture. A search tries another one in every other frame."""
+    """Return the blur of the lens for the ball, (c,) or () px. A search tries another one in every other frame."""
     if track.phase == Status.TRACKING or sequence % 2 == 0:
         return track.lens_blur
     return LENS_BLURS[sequence // 2 % len(LENS_BLURS)]

@@ -8,7 +8,6 @@ from scipy.stats import multivariate_normal
 
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.likelihood import FULL_FACING, MIN_FACING
-from spheremouse.wand.rims import edge_blur
 
 OUTLIER, SIGMA, FIELD_SIGMA, SHARP_RIM = 0.08, 0.065, 1.2, 0.55
 EDGE_SIGMA, EDGE_OFFSET, EDGE_HIDDEN = 0.2, 0.15, 0.3
@@ -128,7 +127,7 @@ def sight(p, R, model, fields, fixed=None):
         across = np.cross(x / length[:, None], tangent) / np.sqrt(np.maximum(1.0 - along**2, 0.02))[:, None]
         moved = (0.5 - fields.cover[np.maximum(colour, 0)]) * scale / radius * np.abs(np.sum(motion * across, axis=1))
         offset = np.copysign(np.hypot(offset, moved), moved)
-    blur = np.broadcast_to(edge_blur(fields.lens_blur, fields.factor), fields.rim.shape)[np.maximum(colour, 0)]
+    blur = fields.edge[np.maximum(colour, 0)]
     points = np.column_stack([along, outward, facing, scale, table[:, 6:9], offset, blur])
     e, g = (np.where(bare, 0.0, one) for one in expected_field(points[q]))
     r = np.where(bare, m.max(axis=1), m[np.arange(len(q)), k] - e)
@@ -140,8 +139,7 @@ def sight(p, R, model, fields, fixed=None):
 
 def noise(fields):
     """Return the standard deviation of a field."""
-    blur = np.broadcast_to(edge_blur(fields.lens_blur, fields.factor), fields.rim.shape)
-    return SIGMA * np.mean(np.maximum(np.sqrt((1.0 + blur**2) / (1.0 + SHARP_RIM**2)), 1.0))
+    return SIGMA * np.mean(np.maximum(np.sqrt((1.0 + fields.edge**2) / (1.0 + SHARP_RIM**2)), 1.0))
 
 
 def log_likelihood(p, R, model, fields, sigma=SIGMA, fixed=None):
