@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
-from PIL import Image as Canvas
-from PIL import ImageDraw
 
 from spheremouse.session.control.protocol import LivePicture
 
@@ -69,6 +67,9 @@ def _visibility_mask(
     outline: tuple[tuple[int, int], ...], squares: tuple[_Square, ...], height: int, width: int, channels: int
 ) -> Image:
     """Return 1 for the values of an image inside the outline or a square, else 0, (height, width * channels)."""
+    from PIL import Image as Canvas  # Pillow takes 8 MB, and only masked pictures need it
+    from PIL import ImageDraw
+
     seen = Canvas.new("L", (width, height))
     pen = ImageDraw.Draw(seen)
     if len(outline) > 2:
