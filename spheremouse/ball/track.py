@@ -31,8 +31,9 @@ from spheremouse.ball.events import (
     Why,
 )
 from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3_camera import with_uncertain_turn
 from spheremouse.ball.filters.so3_mixture import mixture_covariance
-from spheremouse.ball.filters.so3_state import PLACED, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import PLACED
 from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.recover import lost_in_a_gap, lost_in_time
 from spheremouse.ball.phases.seen_centre import with_first_outline, with_outline

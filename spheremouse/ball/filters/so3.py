@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters.so3_camera import move_centres, with_rig_uncertainty
 from spheremouse.ball.filters.so3_eccentric import ROUND_SIGMA
 from spheremouse.ball.filters.so3_map import augment, drop, promote, with_candidates, without_candidates
 from spheremouse.ball.filters.so3_motion import (
@@ -33,17 +34,7 @@ from spheremouse.ball.filters.so3_settings import (
     squared_levels,
     usual_acceleration,
 )
-from spheremouse.ball.filters.so3_state import (
-    COMMON,
-    ECCENTRICITY,
-    RIG,
-    WANDER_S,
-    So3State,
-    inject,
-    move_centres,
-    omitted_variance,
-    with_rig_uncertainty,
-)
+from spheremouse.ball.filters.so3_state import COMMON, ECCENTRICITY, RIG, WANDER_S, So3State, inject, omitted_variance
 from spheremouse.ball.points import Measurement, SpherePoints
 from spheremouse.geometry.matching import are_among, assign, suppress
 from spheremouse.geometry.rotation import Array, rotation_between

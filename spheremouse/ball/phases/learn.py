@@ -14,8 +14,9 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_camera import with_seen_centre
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
-from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without_effect
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState

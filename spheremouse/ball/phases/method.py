@@ -6,8 +6,9 @@ from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_camera import add_common, forget_common
 from spheremouse.ball.filters.so3_map import to_map, with_map, without_candidates
-from spheremouse.ball.filters.so3_state import So3State, add_common, forget_common
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.bearing import check_bearings, check_learning, with_eccentricity
 from spheremouse.ball.phases.follow import follow, is_covered
 from spheremouse.ball.phases.learn import learn, update_all

@@ -13,7 +13,8 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.events import WrongSize
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import ECCENTRICITY, So3State, with_seen_centre, with_uncertain_turn
+from spheremouse.ball.filters.so3_camera import with_seen_centre, with_uncertain_turn
+from spheremouse.ball.filters.so3_state import ECCENTRICITY, So3State
 from spheremouse.ball.outline import seen_ball, seen_centre
 from spheremouse.ball.state import Events, OutlineCheck, Tracker, TrackState
 from spheremouse.geometry.rotation import Array

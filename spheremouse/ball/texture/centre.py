@@ -9,7 +9,8 @@ import numpy as np
 
 from spheremouse.ball.events import OutOfRound
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import So3State, with_seen_centre
+from spheremouse.ball.filters.so3_camera import with_seen_centre
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.phases.bearing import (
     MAX_DRIFT,

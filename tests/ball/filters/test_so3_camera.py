@@ -30,18 +30,11 @@ from so3_world import (
 )
 
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_camera import with_seen_centre, with_uncertain_turn
 from spheremouse.ball.filters.so3_map import augment
 from spheremouse.ball.filters.so3_motion import AXES, CLONE_DIM, KINEMATIC_DIM, MAP_OFFSET, READOUT
 from spheremouse.ball.filters.so3_rig import Station
-from spheremouse.ball.filters.so3_state import (
-    CENTRE,
-    COMMON,
-    ECCENTRICITY,
-    RIG,
-    inject,
-    with_seen_centre,
-    with_uncertain_turn,
-)
+from spheremouse.ball.filters.so3_state import CENTRE, COMMON, ECCENTRICITY, RIG, inject
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import NO_TARGETS, Ball, Rig
 from spheremouse.geometry.camera import Pose
