@@ -12,8 +12,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from spheremouse.ball.texture.picture import COARSEST, FINEST, TILE, Picture
+from spheremouse.ball.texture.picture import Picture
 from spheremouse.ball.texture.picture_map import PictureMap, with_known
+from spheremouse.ball.texture.view import COARSEST, FINEST, TILE
 from spheremouse.files.disc_map import LandmarksFile, landmark_lines, landmark_problems, landmarks
 from spheremouse.files.validate import validate
 from spheremouse.files.yaml import Document, Problem, without_schema

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.picture_map import PictureMap, with_known
+from spheremouse.ball.texture.view import anchor_directions
 from spheremouse.files.ball_map import SavedMap, load_map, map_text, save_map
 
 WHEN = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)

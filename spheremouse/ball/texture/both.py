@@ -24,8 +24,8 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.texture.detect import detect_texture
 from spheremouse.ball.texture.detector import Texture
-from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.search import TextureDetector, TextureState
+from spheremouse.ball.texture.view import anchor_directions
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.tracker import Frame, Status

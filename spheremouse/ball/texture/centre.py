@@ -25,8 +25,9 @@ from spheremouse.ball.phases.bearing import (
 from spheremouse.ball.phases.seen_centre import with_doubtful_turn
 from spheremouse.ball.state import CentreCheck, Events, Tracker, TrackState
 from spheremouse.ball.texture.chart import IN_PLACE
-from spheremouse.ball.texture.picture import Alignment, TextureView, measure_shift
+from spheremouse.ball.texture.picture import Alignment, measure_shift
 from spheremouse.ball.texture.search import TextureState
+from spheremouse.ball.texture.view import TextureView
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 

@@ -29,7 +29,6 @@ from spheremouse.ball.texture.picture import (
     Alignment,
     ChartLight,
     Picture,
-    TextureView,
     Tiles,
     align,
     contrast_noise,
@@ -66,6 +65,7 @@ from spheremouse.ball.texture.search import (
     search,
     significance,
 )
+from spheremouse.ball.texture.view import TextureView
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.native import kernels
 from spheremouse.tracker import Frame, Status

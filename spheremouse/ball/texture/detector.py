@@ -16,16 +16,10 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.texture.detect import TURNING, detect_texture
-from spheremouse.ball.texture.picture import (
-    SHADING_PX,
-    contrast_noise,
-    contrast_of_samples,
-    grain_of,
-    plain_share,
-    texture_pixel,
-)
+from spheremouse.ball.texture.picture import SHADING_PX, contrast_noise, contrast_of_samples, grain_of, plain_share
 from spheremouse.ball.texture.picture_map import PictureMap
 from spheremouse.ball.texture.search import TextureDetector, TextureState, texture_chart, texture_detector
+from spheremouse.ball.texture.view import texture_pixel
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame

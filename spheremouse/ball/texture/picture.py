@@ -7,7 +7,6 @@ a direction on the ball. The detector returns the anchors in view as points of t
 pixels around each give it. To the filter an anchor is a disc.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -20,26 +19,20 @@ from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.outline import SeenCentre
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.texture.chart import Chart, Resampling
+from spheremouse.ball.texture.chart import Resampling
+from spheremouse.ball.texture.view import SMALL_WIDTH, TILE, Floats, TextureView, neighbourhood_mean, rows_showing
 from spheremouse.geometry.camera import Pose, row_of
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.native import kernels
 
-Floats = NDArray[np.float32]
 Tiles = NDArray[np.int64]
 Samples = tuple[Floats, Floats, Floats, Floats]  # contrast, direction, log odds and offset, for `kernels`
 
 STATIC_ODDS = kernels.STATIC_ODDS  # log odds below which a sample does not turn with the ball
 SHADING = 0.005  # standard deviation of a contrast without image noise
-TILE = kernels.TILE  # cells along the edge of a tile
 LEAST_WEIGHT = kernels.LEAST_WEIGHT  # of a known cell: one oblique view
-HALF = 1.1  # half the width of a face, as `picture.h` has it
-_CELL_PX = 1.5  # width of a cell, and of a pixel of the chart, where the ball is nearest, px
-FINEST, COARSEST = 320, 32  # cells along a face: a ball of 350 px, one of 44 px
-_SMALL_WIDTH, _LARGE_WIDTH = 0.032, 0.6  # rad, widths of the neighbourhoods; the small one is a mean of means
 _ROUNDING_SIGMA = 0.4  # grey values, of mean and interpolation
 _DARK_OFFSET = 10.0  # grey values, added to the larger mean: in the dark, contrast is noise
-_MAX_SAMPLES = 16000
 _MAX_MEAN_VIEWS = 20.0  # in the mean of a cell: new dirt on the ball shows after a turn
 _VIEWS_PER_HALVING = 2.0  # views of a tile, after which it is learnt half as often
 _MAX_HALVINGS = 3  # times that this halves
@@ -52,35 +45,6 @@ _MIN_SKEW_PX = 0.1  # px of the chart, by which a rolling shutter shifts a sampl
 _GROUP_PX = 0.3  # px of the chart, by which the ball turns while a group of tiles is exposed
 SHADING_PX = 0.1  # by which light that stands still shifts a contour
 _CONTOUR_PX = 0.1  # standard deviation of a contour of the picture: interpolation and blur
-
-
-@dataclass(frozen=True, slots=True)
-class TextureView:
-    """Constant data of one camera pose."""
-
-    rig: Rig
-    pose: Pose
-    chart: Chart
-    inside: Image  # (h, w) 255 on the ball, 0 elsewhere, of the chart
-    share: Floats  # (h, w) one over the large neighbourhood of a ball of grey value 1
-    widths: tuple[int, int]  # px of the chart, of the small and of the large neighbourhood
-    step: int  # px from a sample to the next
-    number: NDArray[np.int32]  # (rows, columns) the sample at each `step`-th pixel; -1: it has no place on the ball
-    place: NDArray[np.intp]  # (n,) of each sample in `number`
-    at: NDArray[np.int32]  # (n,) pixel of the chart of each sample
-    direction: Floats  # (3, n) obj
-    row: Floats  # (n,) of the image, -1/2 at its top to 1/2 at its bottom, that shows each sample
-    cells: int  # along a face of the picture
-    tiles: Floats  # (m, 3) unit vectors to their middles, ball
-    least_height: float  # of a tile's middle over the plane across the view, for one that is learnt; radii
-    anchors: Array  # (k, 3) unit vectors, ball
-    anchor_of: NDArray[np.int64]  # (6, t, t) the nearest anchor of each tile
-    across: Array  # (k, 3, 3) of the tiles of each anchor, mean projection across their directions
-
-    @property
-    def pixel(self) -> float:
-        """Angle of the ball between two pixels of the chart, rad."""
-        return self.chart.spacing
 
 
 class ChartLight(NamedTuple):
@@ -137,68 +101,12 @@ class AlignmentScale(NamedTuple):
     across: Array  # (k, 3, 3) of the tiles of each anchor, mean projection across their directions
 
 
-def texture_view(rig: Rig, pose: Pose, chart: Chart, inside: NDArray[np.bool_]) -> TextureView:
-    """Return the constant data of a rig's ball as the camera sees it from `pose`.
-
-    `inside`, (size, size), is True where the chart shows the ball.
-    """
-    small = 2 * max(round(0.5 * _SMALL_WIDTH / chart.spacing), 1) + 1
-    large = 2 * round(0.5 * _LARGE_WIDTH / chart.spacing) + 1
-    shown = inside.astype(np.uint8)
-    share = np.float32(1.0) / np.maximum(_box(shown.astype(np.float32), large), np.float32(1e-3))
-    step = max(round(float(np.sqrt(np.count_nonzero(inside) / _MAX_SAMPLES))), 1)
-    direction = chart.directions()
-    margin = small - 1  # a sample has its whole neighbourhood on the ball
-    whole = cv2.erode(shown, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8), borderValue=0)
-    samples = (chart.facing(direction) > kernels.FACING) & (whole != 0)
-    at = np.zeros_like(samples)
-    at[::step, ::step] = samples[::step, ::step]
-    number = np.full(at[::step, ::step].shape, -1, np.int32)
-    number[samples[::step, ::step]] = np.arange(np.count_nonzero(at))
-    cells = int(np.clip(TILE * round(2.0 * HALF / (chart.spacing * TILE)), COARSEST, FINEST))
-    anchors, tiles = anchor_directions(), cell_directions(cells // TILE)
-    # rad, from the middle of a tile to a corner
-    reach = 2.0**0.5 * TILE * HALF / cells
-    anchor_of = np.argmax(tiles @ anchors.T, axis=-1)
-    return TextureView(
-        rig,
-        pose,
-        chart,
-        255 * shown,
-        np.asarray(share, np.float32),
-        (small, large),
-        step,
-        number,
-        np.flatnonzero(number >= 0),
-        np.flatnonzero(at).astype(np.int32),
-        np.ascontiguousarray(direction[at].T, dtype=np.float32),
-        rows_showing(direction[at], rig, pose).astype(np.float32),
-        cells,
-        tiles.reshape(-1, 3).astype(np.float32),
-        chart.height(kernels.FACING) - reach,
-        anchors,
-        anchor_of,
-        mean_projections(tiles, anchor_of),
-    )
-
-
-def texture_spacing(rig: Rig, pose: Pose) -> float:
-    """Return the angle of the ball, rad, between two pixels of a chart that has the details of the picture."""
-    return max(_CELL_PX * texture_pixel(rig, pose), 2.0 * HALF / FINEST)
-
-
-def texture_pixel(rig: Rig, pose: Pose) -> float:
-    """Return the angle of the ball, rad, that a pixel shows where the ball is nearest."""
-    distance = float(np.linalg.norm(pose.position - rig.ball.centre)) - rig.ball.radius
-    return distance / (rig.ball.radius * max(rig.camera.intrinsic[:2]))
-
-
 def light_on_charts(fine: TextureView, coarse: TextureView, grey: Image) -> tuple[tuple[ChartLight, ChartLight], float]:
     """Return what grey values on a chart, 0 beside the ball, show there and on the coarse chart, and their mean."""
     size = coarse.chart.size
     rough = np.asarray(cv2.resize(grey, (size, size), interpolation=cv2.INTER_AREA))
     rough = np.asarray(cv2.bitwise_and(rough, coarse.inside), np.uint8)
-    far = _box(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK_OFFSET)
+    far = neighbourhood_mean(rough.astype(np.float32), coarse.widths[1]) * coarse.share + np.float32(_DARK_OFFSET)
     mean = float(rough.sum() / max(np.count_nonzero(coarse.inside), 1))
     return (ChartLight(grey, far), ChartLight(rough, far)), mean
 
@@ -206,10 +114,6 @@ def light_on_charts(fine: TextureView, coarse: TextureView, grey: Image) -> tupl
 def contrast_of_samples(view: TextureView, shown: ChartLight) -> Floats:
     """Return the contrast of the samples, (n,)."""
     return kernels.contrast_of_samples(shown.light, view.at, shown.far, view.widths[0] // 2)
-
-
-def _box(picture: Image | Floats, width: int) -> Floats:
-    return np.asarray(cv2.blur(picture, (width, width)), np.float32)
 
 
 def empty_picture(view: TextureView) -> Picture:
@@ -228,11 +132,6 @@ def first_seen(view: TextureView, contrast: Floats) -> Seen:
 def without_past(seen: Seen) -> Seen:
     """Return the samples of a view that is new, though the ball is known: none is in doubt for what it showed first."""
     return seen._replace(first=np.full_like(seen.first, np.nan))
-
-
-def rows_showing(directions: Array, rig: Rig, pose: Pose) -> Array:
-    """Return the rows, (n,) from -1/2 at the image's top to 1/2, that show the ball at `directions`, (n, 3) obj."""
-    return row_of(seen_at(directions, rig, pose)[:, 1], rig.camera.height)
 
 
 def with_skew(view: TextureView, seen: Seen, skew: Array) -> Seen:
@@ -320,7 +219,7 @@ def is_symmetric(shown_axes: Array) -> bool:
     small neighbourhood, no rotation about it moves a detail.
     """
     least, _, most = np.linalg.eigvalsh(shown_axes)
-    return bool(least < _SMALL_WIDTH**2 * most)
+    return bool(least < SMALL_WIDTH**2 * most)
 
 
 def tilt_sigma(alignment: Alignment, unseen: float) -> float:
@@ -449,33 +348,3 @@ def correlate(seen: Seen, picture: Picture, attitudes: Array, most: int) -> Arra
     """Return the correlation, (n,), of a frame and the picture at attitudes, (n, 3, 3), by the `most` best samples."""
     samples = _samples(seen, seen.counts)
     return kernels.correlate_texture(samples, picture[:2], np.ascontiguousarray(attitudes), most)
-
-
-def anchor_directions() -> Array:
-    """Return the 20 corners of a dodecahedron as unit vectors, (20, 3): anchors 42° apart."""
-    golden = 0.5 * (1.0 + 5.0**0.5)
-    signs = (-1.0, 1.0)
-    cube = [(a, b, c) for a in signs for b in signs for c in signs]
-    others = [np.roll([0.0, a / golden, b * golden], k) for k in range(3) for a in signs for b in signs]
-    return np.array([*cube, *others]) / 3.0**0.5
-
-
-def mean_projections(directions: Array, part: NDArray[np.int64]) -> Array:
-    """Return the mean projection, (k, 3, 3), across unit vectors, (..., 3), of each part."""
-    u, part = directions.reshape(-1, 3), part.ravel()
-    number = np.bincount(part)
-    along = np.zeros((len(number), 3, 3))
-    np.add.at(along, part, u[:, :, None] * u[:, None, :])
-    return np.eye(3) - along / number[:, None, None]
-
-
-def cell_directions(cells: int) -> Array:
-    """Return the unit vectors in `ball` of the middles of a picture's cells, or of its tiles, (6, n, n, 3)."""
-    at = (2.0 * (np.arange(cells) + 0.5) / cells - 1.0) * HALF
-    a, b = np.meshgrid(at, at, indexing="ij")
-    found = np.empty((6, cells, cells, 3))
-    for face in range(6):
-        axis = face // 2
-        found[face, ..., axis] = -1.0 if face % 2 else 1.0
-        found[face, ..., (axis + 1) % 3], found[face, ..., (axis + 2) % 3] = a, b
-    return found / np.linalg.norm(found, axis=-1, keepdims=True)

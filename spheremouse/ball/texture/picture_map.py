@@ -19,17 +19,12 @@ from spheremouse.ball.filters import so3_map
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import SURE, Recognising, TrackState
 from spheremouse.ball.texture.picture import (
-    HALF,
     LEAST_WEIGHT,
-    TILE,
     Alignment,
     AlignmentScale,
-    Floats,
     Picture,
     Samples,
     align_samples,
-    anchor_directions,
-    cell_directions,
     contrast_noise,
     contrast_of_samples,
     first_seen,
@@ -46,6 +41,7 @@ from spheremouse.ball.texture.search import (
     best_attitudes,
     fits,
 )
+from spheremouse.ball.texture.view import HALF, TILE, Floats, anchor_directions, cell_directions
 from spheremouse.geometry.rotation import Array
 from spheremouse.native import kernels
 from spheremouse.tracker import Frame

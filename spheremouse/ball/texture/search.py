@@ -23,20 +23,22 @@ from spheremouse.ball.texture.picture import (
     DETAIL,
     Alignment,
     ChartLight,
-    Floats,
     Picture,
     Seen,
-    TextureView,
     Tiles,
     align,
     correlate,
     light_on_charts,
+    with_doubtful,
+    with_skew,
+)
+from spheremouse.ball.texture.view import (
+    Floats,
+    TextureView,
     rows_showing,
     texture_pixel,
     texture_spacing,
     texture_view,
-    with_doubtful,
-    with_skew,
 )
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import Pose

@@ -11,10 +11,7 @@ from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.points import directions_at
 from spheremouse.ball.rig import view_of
 from spheremouse.ball.texture.picture import (
-    TILE,
     align,
-    anchor_directions,
-    cell_directions,
     contrast_of_samples,
     correlate,
     empty_picture,
@@ -31,6 +28,7 @@ from spheremouse.ball.texture.picture import (
     with_skew,
 )
 from spheremouse.ball.texture.search import texture_detector
+from spheremouse.ball.texture.view import TILE, anchor_directions, cell_directions
 from spheremouse.geometry.camera import row_of
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.native import kernels

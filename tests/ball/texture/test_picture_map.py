@@ -9,8 +9,8 @@ from spheremouse.ball.build import begin
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Found, NewMap, Recognised
 from spheremouse.ball.texture.method import TEXTURE
-from spheremouse.ball.texture.picture import anchor_directions
 from spheremouse.ball.texture.picture_map import PictureMap, look, resize, unfold
+from spheremouse.ball.texture.view import anchor_directions
 from spheremouse.ball.track import step
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
