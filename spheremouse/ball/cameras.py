@@ -4,20 +4,21 @@ A camera has its rig, pose and detector (`Tracker`), its look-alikes, colours an
 of the ball. A frame updates the ball by its own stamp with the points of its camera. The axes are `obj` for all.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from spheremouse.ball.ball_map import BallMap
 from spheremouse.ball.build import begin, detector_of
+from spheremouse.ball.camera_state import with_filters
 from spheremouse.ball.detect.lookalikes import StaticDistractors
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_motion import CAMERA_DIM
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import CameraState, Lost, Tracker, TrackState, current
+from spheremouse.ball.state import CameraState, Tracker, TrackState
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array
 
@@ -55,7 +56,7 @@ def with_camera(
     check_cameras([each.rig for each in trackers], tracker.settings)
     other = CameraState.of(begin_with(tracker, number, state.filter.stamp))
     prior = np.block([[_shared_covariance(one, another) for another in trackers] for one in trackers])
-    return _filters(state._replace(others=(*state.others, other)), lambda f: f.with_camera(prior))
+    return with_filters(state._replace(others=(*state.others, other)), lambda f: f.with_camera(prior))
 
 
 def check_cameras(rigs: Sequence[Rig], settings: Settings) -> None:
@@ -74,43 +75,3 @@ def _shared_covariance(one: Tracker[So3Filter], other: Tracker[So3Filter]) -> Ar
     same = one.rig.ball.radius == other.rig.ball.radius
     same = same and np.array_equal(one.rig.ball.covariance, other.rig.ball.covariance)  # the ball of one calibration
     return one.filter.station.shared_covariance(other.filter.station) if same else np.zeros((CAMERA_DIM, CAMERA_DIM))
-
-
-def cameras_of(state: TrackState[Any]) -> tuple[int, ...]:
-    """Return the numbers of the cameras: of the last frame, then of the others."""
-    return state.camera, *(other.camera for other in state.others)
-
-
-def part_of(state: TrackState[Any], camera: int) -> TrackState[Any] | CameraState | None:
-    """Return the state whose fields of `CameraState` are those of a camera; None if the state does not have it."""
-    return next((part for part in (state, *state.others) if part.camera == camera), None)
-
-
-def current_of(state: TrackState[Any], camera: int, tracker: Tracker[Any]) -> Tracker[Any]:
-    """Return the tracker in use for a camera: `tracker`, or the one that was rebuilt for a new pose."""
-    part = part_of(state, camera)
-    return tracker if part is None else current(part, tracker)
-
-
-def facing(state: TrackState[Any], camera: int) -> TrackState[Any]:
-    """Return the state for a frame of a camera."""
-    if camera == state.camera:
-        return state
-    which = [other.camera for other in state.others].index(camera)
-    others = list(state.others)
-    others[which] = CameraState.of(state)
-    state = state._replace(**state.others[which]._asdict(), others=tuple(others))
-    return _filters(state, lambda f: f.facing(which))
-
-
-def _filters(state: TrackState[Any], change: Callable[[So3State], So3State]) -> TrackState[Any]:
-    """Return the state with a change of each filter state that it has."""
-    phase = state.phase
-    if isinstance(phase, Lost) and phase.trial is not None:
-        phase = phase._replace(trial=phase.trial._replace(filter=change(phase.trial.filter)))
-    return state._replace(
-        phase=phase,
-        filter=change(state.filter),
-        alternatives=tuple(h._replace(state=change(h.state)) for h in state.alternatives),
-        older=None if state.older is None else change(state.older),
-    )

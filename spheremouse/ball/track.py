@@ -14,7 +14,7 @@ from spheremouse.ball import camera_moved
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.camera_moved import Seek, seek_by_colour
-from spheremouse.ball.cameras import facing
+from spheremouse.ball.camera_state import facing
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import StaticDistractors

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.build import build, check_discs, detector_of, map_kind
-from spheremouse.ball.cameras import begin_with, cameras_of, check_cameras, current_of, facing, with_camera
+from spheremouse.ball.camera_state import cameras_of, current_of, facing
+from spheremouse.ball.cameras import begin_with, check_cameras, with_camera
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig

@@ -10,7 +10,7 @@ import numpy as np
 
 from spheremouse.ball.build import build
 from spheremouse.ball.camera_moved import shows_targets
-from spheremouse.ball.cameras import current_of, part_of
+from spheremouse.ball.camera_state import current_of, part_of
 from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
