@@ -193,11 +193,10 @@ fuzz: $(STAMP)
 # Leaks are not reported: Python frees much of its memory only with the process.
 SANITIZED = LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libstdc++.so.6)" \
     ASAN_OPTIONS=detect_leaks=0 KERNELS=build/sanitize/Sanitized
-sanitize: export CXXFLAGS := -O1 -g1 -fsanitize=address,undefined -fno-sanitize-recover=all
 sanitize: $(STAMP)
-	@$(call native,$(BIN)/python,build/sanitize,Sanitized)
+	@export CXXFLAGS="-O1 -g1 -fsanitize=address,undefined -fno-sanitize-recover=all"; $(call native,$(BIN)/python,build/sanitize,Sanitized)
 	$(SANITIZED) $(PYTEST) -p tests.other_kernels -m "not slow" tests/ball tests/wand tests/geometry tests/test_kernels.py
-	FUZZ_SLOWDOWN=30 $(SANITIZED) $(BIN)/python -m pytest -p tests.other_kernels tests/fuzz/test_kernels.py $(FUZZ_ARGS)
+	FUZZ_SLOWDOWN=30 $(SANITIZED) $(BIN)/python -m pytest -p tests.other_kernels --capture=no tests/fuzz/test_kernels.py $(FUZZ_ARGS)
 
 clean:
 	rm -f spheremouse/native/*.so
