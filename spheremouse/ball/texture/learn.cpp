@@ -146,7 +146,7 @@ void learn_texture(nb::tuple seen, nb::tuple picture_, nb::handle which_, nb::tu
     shown.height = int(contrast.shape(0)), shown.width = int(contrast.shape(1));
     shown.still = still.data();
     shown.rows = int(number_of.shape(0)), shown.columns = int(number_of.shape(1));
-    shown.middle = 0.5f * float(number<int>(chart[2], "size") - 1);
+    shown.middle = 0.5f * (float(number<int>(chart[2], "size")) - 1.0f);
     shown.axes = (Matrix<3>(matrix<3, 3>(chart[0], "axes")) * matrix<3, 3>(R_, "R")).cast<float>();
     shown.by_step = 1.0f / float(step);
     shown.set_tables(number<float>(chart[1], "spacing"), number<float>(chart[3], "distance"));
