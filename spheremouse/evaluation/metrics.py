@@ -96,8 +96,11 @@ def _steps(run: Run, truth: Truth) -> tuple[Array, Array, Array]:
 
 
 def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
-    """Return the speed as sent and the true one, (k, 2) mm/s each, by `Run.steps`; `radius` m (Wittich 2017, 4.1.1)."""
-    dt, sent, true = _steps(run, truth)
+    """Return the speed as sent and the true one, (k, 2) mm/s each, by `Run.steps`; `radius` m (Wittich 2017, 4.1.1).
+
+    A second picture of the same time, by another camera, shows no speed.
+    """
+    dt, sent, true = (each[run.stamp[run.steps] > run.stamp[run.steps - 1]] for each in _steps(run, truth))
     return surface_travel(sent, radius) / dt[:, None], surface_travel(true, radius) / dt[:, None]
 
 
