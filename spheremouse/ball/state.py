@@ -103,11 +103,19 @@ class Recognising(NamedTuple):
     in_view_since: float | None = None  # s, of discs enough to speak against the map
 
 
+class OtherView(NamedTuple):
+    """A frame of a camera that does not decide whether the ball has turned, and the tracker of that camera."""
+
+    view: BufferedFrame
+    tracker: Tracker[Any]
+
+
 class Learning(NamedTuple):
     """The ball has not turned yet, so any candidate may be a look-alike."""
 
     found: bool = False  # two discs were seen: the ball is tracked
     views: tuple[BufferedFrame, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
+    others: tuple[OtherView, ...] = ()  # of other cameras since then
     next_track: int = 0  # number of the next point that no view has shown yet
     beside_map: bool = False  # an older map exists, which outweighs what two points show
 

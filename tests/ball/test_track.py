@@ -29,7 +29,7 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters.so3_motion import RIG_ROW
 from spheremouse.ball.filters.so3_settings import HIDDEN_SHARE
 from spheremouse.ball.filters.so3_state import COMMON
-from spheremouse.ball.phases import learn
+from spheremouse.ball.phases import filter_again
 from spheremouse.ball.rig import Ball, found_from_picture
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, TrackState, Withheld, current
@@ -571,8 +571,8 @@ def test_a_wrong_focal_length_is_found_if_the_rig_states_its_uncertainty(error):
 
 def test_views_that_are_filtered_again_count_once(monkeypatch):
     """The rig that an earlier round found says where directions are linear, not what is expected."""
-    rounds, again = [], learn.filtered_again
-    monkeypatch.setattr(learn, "filtered_again", lambda *given: rounds.append(given) or again(*given))
+    rounds, again = [], filter_again.filtered_again
+    monkeypatch.setattr(filter_again, "filtered_again", lambda *given: rounds.append(given) or again(*given))
     played(*with_wrong_focal_length(0.02), until=3.0)
     state, *rest = rounds[0]
     found = []

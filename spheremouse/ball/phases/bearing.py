@@ -22,8 +22,8 @@ from spheremouse.ball.filters.so3_eccentric import as_eccentric
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
+from spheremouse.ball.phases.filter_again import filtered_again
 from spheremouse.ball.phases.follow import follow
-from spheremouse.ball.phases.learn import filtered_again
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
 from spheremouse.ball.state import (
     BufferedFrame,

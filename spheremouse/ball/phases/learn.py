@@ -3,24 +3,25 @@
 Most of the points turn together like a ball, or two do while the others stay. An image that only shifts is no turn.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
-from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import MOVED_PX, STILL_PX
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_camera import with_seen_centre
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.phases.filter_again import (
+    filtered_again,
+    filtered_with_its_rig,
+    filtered_with_others,
+    would_move,
+)
 from spheremouse.ball.phases.follow import not_used, updated_hypotheses, without_effect
-from spheremouse.ball.points import SpherePoints, intersect
-from spheremouse.ball.state import BufferedFrame, Events, F, Learning, Tracker, Tracking, TrackState
-from spheremouse.geometry.camera import project
+from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.state import BufferedFrame, Events, F, Learning, OtherView, Tracker, Tracking, TrackState
 from spheremouse.geometry.matching import distances, mutual_nearest
 from spheremouse.geometry.rotation import Array, align, log, rotation_between
 
@@ -34,10 +35,6 @@ _MIN_PATH = 5.0  # times MOVED_PX: over so long a path, a turn and a shift of th
 _MAX_CHI2 = 10.83  # chi-square with one degree of freedom, 99.9 %
 # squared deviations by which a turn must fit better than a shift of the picture: odds of 3e6
 _MIN_CHI2_DIFFERENCE = 30.0
-# radii, or relative for the focal length: a shift that places a disc at the limb to a tenth of a pixel, to first order
-_MAX_LINEAR_SHIFT = 0.005
-_SAME_RIG = 1e-6  # relative, and m: with so small a difference, intersections are the same
-_ITERATIONS = 3  # each leaves a tenth of the error
 _CENTRE_SIGMA = 0.1  # px, floor of the standard deviation of a path's length: unevenness of light
 
 
@@ -51,14 +48,15 @@ def learn(
     established, a new candidate adds a disc to the map only after the ball has turned.
 
     Only frames of one camera count, since the others may show the same look-alikes elsewhere. Another camera takes its
-    part if it shows none for `loss.lost_after` s.
+    part if it shows none for `loss.lost_after` s. Once the ball has turned, frames of all cameras count that came
+    meanwhile.
 
     `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
     if phase.views and phase.views[-1].camera != state.camera:
         if abs(stamp - phase.views[-1].stamp) <= tracker.settings.loss.lost_after:
-            return not_used(state), ()
-        phase = phase._replace(views=())
+            return not_used(state)._replace(phase=_with_other_view(phase, state, stamp, tracker, predicted)), ()
+        phase = phase._replace(views=(), others=())
     if not phase.views and len(state.filter.discs) == 0:  # no uncertainty accumulates before the first two discs
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
@@ -79,65 +77,23 @@ def learn(
         still = still_while_two_turned(views, tracker)
     if still is None:
         if len(views) == _MAX_KEPT_VIEWS and _most_are_gone(views[0], views[1:]):
-            views = views[-1:]
+            views, phase = views[-1:], phase._replace(others=())
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = filtered_again(state, still, views, tracker) if len(still) else naive
-    state = _filtered_with_its_rig(state, still, views, tracker)
+    state = filtered_with_its_rig(state, still, views, tracker)
+    state = filtered_with_others(state, still, views, phase.others, tracker)
     state, events = found(state, phase, stamp)
     return state._replace(phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _filtered_with_its_rig(
-    state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
-) -> TrackState[F]:
-    """Return the state after filtering all views again with the rig that they showed, if it is another than assumed.
-
-    The first views placed discs about a centre that was off. There the effect of a shift is not linear. So this is
-    the Gauss-Newton iteration of a smoother over the views (Bell 1994). If a round turns the attitude by more than the
-    shift explains, it has dropped views, and its result does not count.
-    """
-    unit, assumed = np.array([1.0, *[tracker.rig.ball.radius] * 3]), views[0].points.rig_error
-    for _ in range(_ITERATIONS):
-        shown = state.filter.rig_error
-        shift = float(np.linalg.norm((shown - assumed) / unit))
-        if shift < _MAX_LINEAR_SHIFT or state.filter.centre_noise > 0.0:
-            break
-        again = filtered_again(state, still, views, tracker)
-        if np.linalg.norm(rotation_between(state.filter.attitude, again.filter.attitude)) > shift:
-            break
-        state, assumed = again, shown
-    return state
-
-
-def filtered_again(
-    state: TrackState[F], still: Array, views: tuple[BufferedFrame, ...], tracker: Tracker
-) -> TrackState[F]:
-    """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
-    stamp = views[-1].stamp
-    state = state._replace(lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
-    start = tracker.filter.initial(views[0].stamp, views[0].attitude)
-    filtered, assumed = start.with_reference_of(state.filter), state.filter.rig_error
-    if filtered.centre_noise == 0.0 and (assumed != start.rig_error).any():
-        # the views showed this error, so as a prior it would count twice: it is only the point of linearisation
-        filtered = replace(filtered, rig_error=start.rig_error)
-    if state.centre.wrong_rig:
-        filtered = tracker.filter.with_rig_uncertainty(filtered, state.outline.size_sigma)
-    for k, view in enumerate(views):
-        free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp)
-        points = view.points.take(free)
-        held = filtered.rig_error if filtered.centre_noise > 0.0 else assumed
-        if np.abs(held - points.rig_error).max() > _SAME_RIG:
-            points = intersect(view.detections, tracker.rig, tracker.pose, held, points.index)
-        state = state._replace(filter=filtered, points=points, detections=view.detections)
-        predicted = tracker.filter.predict(filtered, view.stamp)
-        if predicted.centre_noise > 0.0 and view.ball_centre is not None:
-            seen = view.ball_centre
-            predicted = with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
-        state = tracker.method.update_all(state, view.stamp, tracker, predicted, views[:k])
-        filtered = state.filter
-        confirmed_at = view.stamp if state.confirmed else state.confirmed_at
-        state = state._replace(confirmed_at=confirmed_at, shown_at=view.stamp)
-    return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)
+def _with_other_view(phase: Learning, state: TrackState[F], stamp: float, tracker: Tracker, predicted: F) -> Learning:
+    """Return the phase after a frame of a camera that does not decide whether the ball has turned."""
+    view = BufferedFrame(stamp, state.detections, state.points, predicted, camera=state.camera)
+    others = (*phase.others, OtherView(view, tracker))
+    own = [k for k, other in enumerate(others) if other.view.camera == state.camera]
+    if len(own) > _MAX_KEPT_VIEWS:
+        others = others[: own[1]] + others[own[1] + 1 :]
+    return phase._replace(others=others)
 
 
 def update_all(
@@ -290,13 +246,3 @@ def still_while_two_turned(views: tuple[BufferedFrame, ...], tracker: Tracker) -
 def _direction_variance(points: SpherePoints, radius: float) -> Array:
     """Variance, (n,) rad², of a direction along one axis."""
     return np.trace(points.image_covariance, axis1=1, axis2=2) / (2.0 * radius**2)
-
-
-def would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
-    """Return a mask, (n,), of the points that `rotation`, (3, 3), would have moved by `least` px or more."""
-    radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
-    uv = [
-        project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]
-        for d in (points.direction, points.direction @ rotation)
-    ]
-    return np.linalg.norm(uv[0] - uv[1], axis=1) > least
