@@ -161,9 +161,14 @@ def _masks(image: Image, settings: RingSettings) -> list[Image]:
 
 
 def _spots(mask: Image, settings: RingSettings) -> Spots:
-    """Outlines of the connected regions of a mask, filled: their moments are those of discs, not of rings."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    outlines = [c[:, 0] for c in contours if len(c) >= 4 * settings.min_radius]
+    """Return the outlines of the connected regions of a mask, filled: their moments are those of discs, not of rings.
+
+    The hole of a region is no region. The hole of an outer ring is as large as the middle ring, and where a camera
+    washes colours out, it would fit the smaller circles better than its ring.
+    """
+    contours, levels = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    regions = [c[:, 0] for c, level in zip(contours, levels[0], strict=True) if level[3] < 0] if contours else []
+    outlines = [c for c in regions if len(c) >= 4 * settings.min_radius]
     if not outlines:
         return Spots((), np.zeros((0, 2)), np.zeros(0))
     moments = [cv2.moments(outline) for outline in outlines]
@@ -191,7 +196,7 @@ def _nests(
     misfit = _misfits(inner.radius, inmost, middle.radius, around, outer.radius, proportion)
     left = np.flatnonzero(np.isfinite(misfit))
     left = left[np.argsort(misfit[left], kind="stable")]
-    best = left[suppress(outer.centre[left], outer.radius[left])]  # a hole's outline repeats its ring's
+    best = left[suppress(outer.centre[left], outer.radius[left])]
     return best[:MAX_COPIES], len(best) > MAX_COPIES
 
 

@@ -1,5 +1,6 @@
 """Ring targets: centres against exactly drawn ellipses, all codes, look-alikes of the room, bad light."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -90,6 +91,20 @@ def test_noise_and_light_move_the_centre_little(noise, brightness, light):
         assert abs(seen.radius[0] - 16.0 * np.sqrt(0.9)) < 1.0
         errors.append(seen.centre[0] - centre)
     assert np.sqrt(np.mean(np.square(errors))) < 0.06 + 0.01 * noise
+
+
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("quality", [30, 50])
+def test_colours_that_a_camera_washes_out_do_not_change_the_radius(code, quality):
+    """JPEG with half the resolution of colours shrinks the inner circles, so that a ring's hole seems in proportion."""
+    sizes, number = (11.0, 12.5, 14.0, 16.0, 18.0), 0
+    for outer in sizes:
+        image = blank()
+        target(image, code, (80.3, 60.7), outer)
+        seen = found(cv2.imdecode(cv2.imencode(".jpg", photo(image), [cv2.IMWRITE_JPEG_QUALITY, quality])[1], 1))
+        assert np.all(np.abs(seen.radius - outer) < 1.0)
+        number += len(seen)
+    assert number >= 2
 
 
 def test_single_discs_double_rings_and_wrong_nestings_are_ignored():
