@@ -32,6 +32,7 @@ from spheremouse.calibrate.device.correspond import (
     directions_on_ball,
     find_ball,
     has_wide_rays,
+    is_before,
     number_discs,
 )
 from spheremouse.calibrate.device.start import TargetViews, first_block, target_views
@@ -133,6 +134,11 @@ def _measured_discs(
     """
     settings = replace(settings, polarity="dark", weights=())
     block, K, R = result.solution.block, result.ball[:3], float(result.ball[3])
+    if not is_before(block.poses, K, R):
+        raise CalibrationError(
+            "the dark spots lie on no ball that all photos show whole: see that disc_radius is a radius and no "
+            "diameter, and light the ball so that its discs stand out"
+        )
     rig = ball_rig(block.camera, K, R, device.disc_radius)
     detectors = (disc_detector(settings, rig, pose) for pose in block.poses)
     seen = [d.with_lens_blur(d.lens_blur(grey)).detect(grey) for (grey, _), d in zip(photos, detectors, strict=True)]

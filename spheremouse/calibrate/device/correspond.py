@@ -81,7 +81,7 @@ def find_ball(
     rough = []
     for _ in range(_PAIR_SAMPLES):
         K, R = _by_areas(points, rng.choice(len(points.position), 2, replace=False))
-        if 0.0 < R < largest:
+        if 0.0 < R < largest and is_before(poses, K, R):
             rough.append((_score(points, K, R, _ROUGH_TOLERANCE * R), K, R))
     rough.sort(key=lambda r: -r[0])
     best, centre, radius = 0.0, np.full(3, np.nan), np.nan
@@ -89,7 +89,8 @@ def find_ball(
         near = np.flatnonzero(_inside(points, K, R, _ROUGH_TOLERANCE * R))
         for _ in range(_FOUR_SAMPLES if len(near) >= 5 else 0):
             four, its_radius = algebraic_sphere(points.position[rng.choice(near, 4, replace=False)])
-            score = _score(points, four, its_radius, tolerance) if its_radius < largest else 0.0
+            possible = its_radius < largest and is_before(poses, four, its_radius)
+            score = _score(points, four, its_radius, tolerance) if possible else 0.0
             if score > best:
                 best, centre, radius = score, four, its_radius
     for _ in range(5):
@@ -101,6 +102,11 @@ def find_ball(
             )
         centre, radius = algebraic_sphere(points.position[inside])
     return centre, radius
+
+
+def is_before(poses: Sequence[Pose], centre: Array, radius: float) -> bool:
+    """Return whether the whole sphere is before each camera."""
+    return min(float(pose.to_cam(centre)[2]) for pose in poses) > radius
 
 
 def number_discs(photo: NDArray[np.intp], directions: Array, angle: float) -> NDArray[np.intp]:
