@@ -13,7 +13,6 @@ each frame follows from the residuals within the frames, as a variance factor.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +71,7 @@ def observe(
         cosine = points.direction[rows] @ state.attitude @ state.discs.T
         near = cosine.max(axis=1) > np.cos(filter_.disc_angle)
         rows, columns = rows[near], cosine.argmax(axis=1)[near]
-        exact = replace(state, joint=np.zeros_like(state.joint))
+        exact = state._replace(joint=np.zeros_like(state.joint))
         H, _, z, S = kernels.innovation(
             exact.body, points.measurement(filter_.station.radius), rows, columns, np.zeros_like(J)
         )

@@ -1,7 +1,7 @@
 """State of the tracker between frames: its phase, and the parts common to all phases."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -323,7 +323,7 @@ def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
 
 
 def clear_matches(filter_state: Any) -> Any:
-    return replace(filter_state, used=np.zeros(0, dtype=np.intp))
+    return filter_state._replace(used=np.zeros(0, dtype=np.intp))
 
 
 def start_tracking(

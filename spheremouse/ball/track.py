@@ -262,7 +262,7 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
         filtered = with_uncertain_turn(filtered, camera_moved.apparent_turn(state.watch.shift, tracker))
     predicted = tracker.filter.predict(filtered, stamp)
     state = state._replace(
-        filter=replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden),
+        filter=tracker.filter.update(predicted, no_points(tracker))._replace(hidden=predicted.hidden),
         detections=no_detections(),
         points=no_points(tracker),
         confirmed=False,

@@ -577,7 +577,7 @@ def test_views_that_are_filtered_again_count_once(monkeypatch):
     state, *rest = rounds[0]
     found = []
     for start in (-0.01, 0.01):
-        started = replace(state.filter, rig_error=np.array([start, 0.0, 0.0, 0.0]))
+        started = state.filter._replace(rig_error=np.array([start, 0.0, 0.0, 0.0]))
         found.append(again(state._replace(filter=started), *rest).filter.rig_error[0])
     assert found[0] == pytest.approx(found[1], abs=1e-3)
 

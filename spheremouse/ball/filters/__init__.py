@@ -1,6 +1,6 @@
 """Filters: SpherePoints in, attitude and angular velocity with covariance out.
 
-Each filter is a frozen settings object with `initial`, `predict` and `update`; its state is a frozen dataclass that
+Each filter is a frozen settings object with `initial`, `predict` and `update`; its state is a named tuple that
 satisfies `FilterState`. The stamps are the only source of time.
 """
 

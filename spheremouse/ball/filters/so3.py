@@ -9,7 +9,7 @@ that moves, and lengths that a tape measured, are estimated. `so3_eccentric` has
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,7 +96,7 @@ class So3Filter:
         joint, ours = state.joint.copy(), np.r_[COMMON, state.map_row - 1]
         joint[ours], joint[:, ours] = 0.0, 0.0
         joint[np.ix_(ours, ours)] = self.station.covariance()
-        return replace(state, joint=joint, rig_error=self.station.size_error * self.station.common_by_size())
+        return state._replace(joint=joint, rig_error=self.station.size_error * self.station.common_by_size())
 
     def predict(self, state: So3State, stamp: float) -> So3State:
         """Predict the state for `stamp`, by up to 10 s, with an acceleration that drifts but makes no step.
@@ -144,14 +144,14 @@ class So3Filter:
         """Return the state with a ball whose centre has left its place, perhaps by `path`, (3,) m, and moves on."""
         noise, joint = (_CENTRE_NOISE * self.station.radius) ** 2, state.joint.copy()
         move_centres(joint, noise * WANDER_S * np.eye(3) + np.outer(path, path), len(state.others))
-        return replace(state, joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
+        return state._replace(joint=joint, centre_noise=max(state.centre_noise, noise), holds_rig=False)
 
     def with_rig_uncertainty(self, state: So3State, size_sigma: float) -> So3State:
         """Return the state with a covariance that has the errors of a radius and focal length measured by tape.
 
         `size_sigma` is the relative standard deviation of the radius by the ball's outline.
         """
-        return replace(with_rig_uncertainty(state, self.station.covariance_by_tape(size_sigma)), holds_rig=False)
+        return with_rig_uncertainty(state, self.station.covariance_by_tape(size_sigma))._replace(holds_rig=False)
 
     def with_unseen_turn(self, state: So3State, axis: Array, duration: float) -> So3State:
         """Return the state as uncertain as a turn about `axis`, (3,) obj, makes it that no disc has shown of late.
@@ -163,7 +163,7 @@ class So3Filter:
         variance, joint = min(density * duration, self.settings.start_rate_sigma**2), state.joint.copy()
         growth = np.array([[duration**2 / 3.0, 0.5 * duration], [0.5 * duration, 1.0]])  # of turn and rate
         joint[:6, :6] += variance * np.kron(growth, np.outer(axis, axis))
-        return replace(state, joint=joint)
+        return state._replace(joint=joint)
 
     def without_unseen_axes(self, state: So3State, predicted: So3State, seen: Array) -> So3State:
         """Return the update of `predicted` so that it takes nothing from motion about axes that the frame did not show.
@@ -198,9 +198,8 @@ class So3Filter:
 
     def adopt(self, state: So3State, before: "So3Filter") -> So3State:
         """Return the state of the filter `before`. If the levels changed, they start at their prior."""
-        return (
-            state if self.settings.levels == before.settings.levels else replace(state, weights=np.zeros(0), modes=None)
-        )
+        same = self.settings.levels == before.settings.levels
+        return state if same else state._replace(weights=np.zeros(0), modes=None)
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices, (k,), of the discs that face the camera."""
@@ -376,8 +375,8 @@ class So3Filter:
             len(points) > 0,
             self.disc_angle,
         )
-        state = replace(
-            state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
+        state = state._replace(
+            hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
         )
         free = np.ones(len(points), dtype=np.bool_) if may_start_landmark is None else may_start_landmark
         new = self._new_discs(state, points, free, pairing.rows)
@@ -423,8 +422,7 @@ class So3Filter:
             return state
         promoted = promote(state, which)
         corrected, _ = self._correct(promoted, points, Pairing(rows, len(state.discs) + np.arange(len(rows))))
-        return replace(
-            corrected,
+        return corrected._replace(
             used=np.concatenate([state.used, corrected.used]),
             manoeuvre_level=state.manoeuvre_level,
             nis=state.nis + corrected.nis,
@@ -472,8 +470,7 @@ def relocate(
     rate_sigma = UNKNOWN_RATE_FACTOR * settings.start_rate_sigma if rate is None else settings.start_rate_sigma
     joint[3:6, 3:6] = rate_sigma**2 * np.eye(3)
     joint[6:KINEMATIC_DIM, 6:KINEMATIC_DIM] = usual_acceleration(settings) ** 2 * np.eye(3)
-    return replace(
-        state,
+    return state._replace(
         stamp=stamp,
         attitude=attitude,
         rate=np.zeros(3) if rate is None else rate,

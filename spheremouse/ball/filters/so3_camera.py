@@ -1,7 +1,5 @@
 """Changes of the default filter's state by all but discs: errors of camera, rig and axes, and the ball's place."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from spheremouse.ball.filters.so3_motion import CAMERA_DIM, KINEMATIC_DIM, READOUT, RIG_DIM, RIG_ROW
@@ -25,7 +23,7 @@ def with_rig_uncertainty(state: So3State, covariance: Array) -> So3State:
     places = S[first : first + 2 * len(state.landmarks)].reshape(-1, 2, RIG_DIM)
     rows = np.arange(first, first + 2 * len(places))
     joint[rows, rows] += np.repeat(omitted_variance(places @ covariance @ places.transpose(0, 2, 1)), 2)
-    return replace(state, joint=joint)
+    return state._replace(joint=joint)
 
 
 def with_seen_centre(
@@ -48,7 +46,7 @@ def with_seen_centre(
     )
     attitude, _, _, landmarks, basis = motion
     fields = {"attitude": attitude, "landmarks": landmarks, "basis": basis, "joint": joint}
-    return replace(state, **fields, readout=readout, rig_error=rig_error, eccentricity=eccentricity)
+    return state._replace(**fields, readout=readout, rig_error=rig_error, eccentricity=eccentricity)
 
 
 def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
@@ -62,12 +60,12 @@ def with_uncertain_turn(state: So3State, turn: Array) -> So3State:
     for k, added in enumerate(added_covariances):
         joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += added
     if state.modes is None:
-        return replace(state, joint=joint)
+        return state._replace(joint=joint)
     means, covariances, weights = state.modes
     covariances = covariances.copy()
     covariances[:, :3, :3] += added_covariances[1]
     covariances[:, 3:, 3:] += added_covariances[2]
-    return replace(state, joint=joint, modes=(means, covariances, weights))
+    return state._replace(joint=joint, modes=(means, covariances, weights))
 
 
 def move_centres(joint: Array, covariance: Array, others: int) -> None:

@@ -1,7 +1,5 @@
 """The landmarks of the default filter's state: how discs and candidates enter and leave it."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,8 +32,7 @@ def with_candidates(
         return state
     centre_moves = bool(state.centre_noise > 0.0)
     places, basis, joint = kernels.take_up(state.body, points.measurement(radius), index, centre_moves)
-    return replace(
-        state,
+    return state._replace(
         landmarks=np.concatenate([state.landmarks, places]),
         basis=np.concatenate([state.basis, basis]),
         joint=joint,
@@ -52,8 +49,7 @@ def with_map(state: So3State, known: DiscMap, most: int = _MAX_SAVED_HITS) -> So
     if known.eccentricity_sigma > 0.0:
         joint[ECCENTRICITY] = joint[:, ECCENTRICITY] = 0.0
         joint[ECCENTRICITY, ECCENTRICITY] = known.eccentricity_sigma**2 * np.eye(3)
-    return replace(
-        state,
+    return state._replace(
         landmarks=known.directions.copy(),
         basis=tangent_basis(known.directions),
         joint=joint,
@@ -92,7 +88,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
         return state
     state = _with_landmarks(state, np.flatnonzero(np.concatenate([keep, np.ones(len(state.candidates), dtype=bool)])))
     others = tuple(other._replace(hidden=other.hidden[keep]) for other in state.others)
-    return replace(state, hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep], others=others)
+    return state._replace(hits=state.hits[keep], missed=state.missed[keep], hidden=state.hidden[keep], others=others)
 
 
 def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
@@ -101,7 +97,7 @@ def keep_candidates(state: So3State, numbers: NDArray[np.intp]) -> So3State:
     if keep.all():
         return state
     m = len(state.discs)
-    return replace(_with_landmarks(state, np.r_[:m, m + np.flatnonzero(keep)]), candidates=state.candidates[keep])
+    return _with_landmarks(state, np.r_[:m, m + np.flatnonzero(keep)])._replace(candidates=state.candidates[keep])
 
 
 def without_candidates(state: So3State) -> So3State:
@@ -112,7 +108,7 @@ def without_candidates(state: So3State) -> So3State:
 def promote(state: So3State, which: NDArray[np.intp]) -> So3State:
     """Make discs of the candidates `which`, (k,) indices; they become the last discs, in that order."""
     m, rest = len(state.discs), np.delete(np.arange(len(state.candidates)), which)
-    state = replace(_with_landmarks(state, np.r_[:m, m + which, m + rest]), candidates=state.candidates[rest])
+    state = _with_landmarks(state, np.r_[:m, m + which, m + rest])._replace(candidates=state.candidates[rest])
     return _counted_once(state, len(which))
 
 
@@ -121,16 +117,15 @@ def _with_landmarks(state: So3State, which: NDArray[np.intp]) -> So3State:
     first = state.map_row
     errors = first + (2 * which[:, None] + np.arange(2)).ravel()
     rows = np.concatenate([np.arange(first), errors, len(state.joint) - CLONE_DIM + np.arange(CLONE_DIM)])
-    return replace(
-        state, landmarks=state.landmarks[which], basis=state.basis[which], joint=state.joint[np.ix_(rows, rows)]
+    return state._replace(
+        landmarks=state.landmarks[which], basis=state.basis[which], joint=state.joint[np.ix_(rows, rows)]
     )
 
 
 def _counted_once(state: So3State, k: int) -> So3State:
     """Return the state with k discs after the counted ones, each seen once."""
     none, hidden = np.zeros(k, dtype=np.intp), np.full(k, HIDDEN_SHARE)
-    return replace(
-        state,
+    return state._replace(
         others=tuple(o._replace(hidden=np.concatenate([o.hidden, hidden])) for o in state.others),
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),

@@ -4,7 +4,6 @@ How errors move it. `so3_map` has how discs enter and leave it, `so3_camera` how
 it, and `so3` the filter itself.
 """
 
-from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +47,7 @@ class OtherCamera(NamedTuple):
     hidden: Array  # (m,) probability that a disc is not to be seen from there
 
 
-@dataclass(frozen=True, slots=True)
-class So3State:
+class So3State(NamedTuple):
     """Attitude, rate and map with their joint covariance."""
 
     stamp: float  # s
@@ -59,24 +57,24 @@ class So3State:
     landmarks: Array  # (l, 3) unit vectors, ball: m discs, then c candidates, which no point corrects
     basis: Array  # (l, 3, 2) tangent vectors of the landmarks: axes of their errors, ball
     joint: Array  # (23 + 8p + 2l, 23 + 8p + 2l) of the errors in the order of `so3_motion`, with p other cameras
-    hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
-    missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
-    hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that it is not to be seen
-    used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) of the last points
-    weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=_NO_PROCESS.copy)  # (9, 9) noise of the last prediction, at the first level
+    hits: NDArray[np.intp] = _NONE  # (m,) sightings
+    missed: NDArray[np.intp] = _NONE  # (m,) in a row
+    hidden: Array = np.zeros(0)  # (m,) probability that it is not to be seen
+    used: NDArray[np.intp] = _NONE  # (k,) of the last points
+    weights: Array = np.zeros(0)  # (l,) probability of each level; empty: as usual
+    process: Array = _NO_PROCESS  # (9, 9) noise of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
-    rig_error: Array = field(default_factory=lambda: np.zeros(RIG_DIM))  # (4,) of focal length and pivot
-    eccentricity: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m, ball, from pivot to centre
+    rig_error: Array = np.zeros(RIG_DIM)  # (4,) of focal length and pivot
+    eccentricity: Array = np.zeros(3)  # (3,) m, ball, from pivot to centre
     centre_noise: float = 0.0  # m²/s per axis, by which the centre moves at random; 0 in a good bearing
     holds_rig: bool = False  # no update changes `rig_error`
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
     modes: Modes | None = None  # of which attitude, rate, acceleration and joint are the moments; None: one
-    candidates: NDArray[np.intp] = field(default_factory=lambda: _NONE)  # (c,) their numbers as look-alikes
+    candidates: NDArray[np.intp] = _NONE  # (c,) their numbers as look-alikes
     others: tuple[OtherCamera, ...] = ()  # (p,); fields without a camera are of the one that shows this frame
 
     @property
@@ -200,33 +198,7 @@ class So3State:
         joint = self.joint.copy()
         joint[-CLONE_DIM:] = joint[:3]
         joint[:, -CLONE_DIM:] = joint[:, :3]
-        return So3State(  # each frame: `replace` would take twice as long
-            self.stamp,
-            self.attitude,
-            self.rate,
-            self.acceleration,
-            self.landmarks,
-            self.basis,
-            joint,
-            self.hits,
-            self.missed,
-            self.hidden,
-            self.used,
-            self.weights,
-            self.process,
-            self.manoeuvre_level,
-            self.nis,
-            self.readout,
-            self.rig_error,
-            self.eccentricity,
-            self.centre_noise,
-            self.holds_rig,
-            self.known_seen,
-            self.known_missed,
-            modes=self.modes,
-            candidates=self.candidates,
-            others=self.others,
-        )
+        return self._replace(joint=joint)
 
     def with_reference_of(self, other: "So3State") -> "So3State":
         """Return the state with the error of the reference of `other`, which is independent of this state's errors.
@@ -238,7 +210,7 @@ class So3State:
         joint[-CLONE_DIM:] = joint[:, -CLONE_DIM:] = 0.0
         joint[-CLONE_DIM:, -CLONE_DIM:] = other.joint[-CLONE_DIM:, -CLONE_DIM:]
         joint[CENTRE, CENTRE] += other.centre_noise * WANDER_S * np.eye(3)
-        placed = replace(self, joint=joint, rig_error=other.rig_error, centre_noise=other.centre_noise)
+        placed = self._replace(joint=joint, rig_error=other.rig_error, centre_noise=other.centre_noise)
         return placed.with_cameras_of(other)
 
     def with_cameras_of(self, other: "So3State") -> "So3State":
@@ -275,8 +247,7 @@ class So3State:
         order[ours], order[theirs] = theirs, ours
         others = list(self.others)
         others[which] = OtherCamera(self.rig_error, self.readout, self.hidden)
-        return replace(
-            self,
+        return self._replace(
             joint=self.joint[np.ix_(order, order)],
             rig_error=other.rig_error,
             readout=other.readout,
@@ -351,4 +322,4 @@ def _with_others(state: So3State, covariance: Array, others: tuple[OtherCamera, 
     joint[np.ix_(old, old)], joint[n : n + k, n : n + k] = state.joint, covariance
     hidden = np.full(len(state.discs), HIDDEN_SHARE)
     others = tuple(o if len(o.hidden) == len(hidden) else o._replace(hidden=hidden) for o in others)
-    return replace(state, joint=joint, others=others)
+    return state._replace(joint=joint, others=others)

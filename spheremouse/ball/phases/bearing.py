@@ -94,7 +94,7 @@ def _learnt_again(
     """
     outline, home = state.outline, tracker.filter.initial(views[0].stamp, views[0].attitude).rig_error
     if not (wrong_rig and outline.is_in_place):
-        filtered = state.filter if outline.has_moved else replace(state.filter, rig_error=home)
+        filtered = state.filter if outline.has_moved else state.filter._replace(rig_error=home)
         state = state._replace(filter=tracker.filter.let_centre_move(filtered))
     state = state._replace(
         centre=CentreCheck(moved=True, wrong_rig=wrong_rig),
@@ -159,7 +159,7 @@ def with_usual_place(
     path = state.filter.pivot - check.home
     if float(path @ path) > (tracker.settings.loss.lifted * radius) ** 2:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
-        blind = replace(blind, rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
+        blind = blind._replace(rig_error=np.append(blind.rig_error[:1], check.home), centre_noise=0.0)
         state = lost(state._replace(filter=blind), lifted_at=stamp)
         return state, (BallLost(Why.OFF_CENTRE, float(np.linalg.norm(path)), radii=radius == 1.0),)
     home = check.home + (1.0 - math.exp(-dt / _HOME_TIME_S)) * path
@@ -308,7 +308,7 @@ def with_doubtful_map(state: So3State, doubt: float) -> So3State:
     """Return the state with discs as far off, rad, as the centre has moved unseen while they were found."""
     joint, discs = state.joint.copy(), np.arange(state.map_row, len(state.joint) - CLONE_DIM)
     joint[discs, discs] += doubt**2
-    return replace(state, joint=joint)
+    return state._replace(joint=joint)
 
 
 def with_learnt_noise(
@@ -317,7 +317,7 @@ def with_learnt_noise(
     """Return the state after a frame with the noise of the centre that frames show; `before` is that before it."""
     least = (_MIN_CENTRE_NOISE * tracker.rig.ball.radius) ** 2
     noise = max(_learnt_noise(before.filter, state.filter, dt), least)
-    return state._replace(filter=replace(state.filter, centre_noise=noise))
+    return state._replace(filter=state.filter._replace(centre_noise=noise))
 
 
 def _learnt_noise(before: So3State, filtered: So3State, dt: float) -> float:

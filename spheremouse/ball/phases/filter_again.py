@@ -1,7 +1,5 @@
 """Filter the kept frames again, from the first one on, once they have shown look-alikes, rig or ball better."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -91,7 +89,7 @@ def filtered_again(
     filtered, assumed = start.with_reference_of(state.filter), {camera: state.filter.rig_error}
     if filtered.centre_noise == 0.0 and (assumed[camera] != start.rig_error).any():
         # the views showed this error, so as a prior it would count twice: it is only the point of linearisation
-        filtered = replace(filtered, rig_error=start.rig_error)
+        filtered = filtered._replace(rig_error=start.rig_error)
     if state.centre.wrong_rig:
         filtered = tracker.filter.with_rig_uncertainty(filtered, state.outline.size_sigma)
     counted = [other for other in others if views[0].stamp <= other.view.stamp < stamp]

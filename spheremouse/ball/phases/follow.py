@@ -192,7 +192,7 @@ def not_used(state: TrackState[F]) -> TrackState[F]:
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: Any) -> TrackState[F]:
     """Return the state without the points of a frame that `is_covered`, since they may lie on the cover."""
-    filtered = replace(tracker.filter.update(predicted, no_points(tracker)), hidden=predicted.hidden)
+    filtered = tracker.filter.update(predicted, no_points(tracker))._replace(hidden=predicted.hidden)
     return state._replace(filter=filtered, alternatives=(), confirmed=False)
 
 

@@ -75,7 +75,7 @@ def at_new_pose(state: TrackState[So3State], tracker: Tracker[So3Filter], added:
     else:
         A = tracker.filter.station.common_by_pose_and_ball()[:, :6]
         add_common(joint, A @ added @ A.T)
-    return replace(filtered, joint=joint)
+    return filtered._replace(joint=joint)
 
 
 def _to_map(state: TrackState[So3State]) -> DiscMap | None:

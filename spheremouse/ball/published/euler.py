@@ -11,7 +11,8 @@ The code follows the publication, including its weaknesses, so that they are a b
   is stored as if the attitude were exact (eq. 170-171). Pose and ball errors count as new in every frame.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,7 @@ from spheremouse.geometry.rotation import (
 _ROUNDING_RAD = 1e-12  # rad: what an attitude loses on its way to angles and back
 
 
-@dataclass(frozen=True, slots=True)
-class EulerState:
+class EulerState(NamedTuple):
     """State of either filter; `state_covariance` ends with the rates for ekf1 and goes on with the points for ekf2."""
 
     stamp: float  # s
@@ -41,7 +41,7 @@ class EulerState:
     points: Array  # (m, 3) m, ball: stored discs
     state_covariance: Array  # (6, 6) or (6 + 3m, 6 + 3m): angles, rates, points (eq. 121, 151)
     used: NDArray[np.intp]  # (k,) indices of the last update's points that were associated
-    reference: Array = field(default_factory=lambda: np.zeros((3, 3)))  # (3, 3) rad², attitude that motion counts from
+    reference: Array = np.zeros((3, 3))  # (3, 3) rad², attitude that motion counts from
 
     @property
     def attitude(self) -> Array:
@@ -88,11 +88,11 @@ class EulerState:
 
     def clone_attitude(self) -> "EulerState":
         """Return the state with its current attitude as the reference of the next increment."""
-        return replace(self, reference=self.covariance[:3, :3])
+        return self._replace(reference=self.covariance[:3, :3])
 
     def with_reference_of(self, other: "EulerState") -> "EulerState":
         """Return the state with the reference of `other`."""
-        return replace(self, reference=other.reference)
+        return self._replace(reference=other.reference)
 
     def with_cameras_of(self, other: "EulerState") -> "EulerState":
         """Return the same state: the publication has one camera."""

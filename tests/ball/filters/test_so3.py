@@ -63,7 +63,7 @@ def test_prediction_moves_an_error_as_its_covariance_says():
     joint = state.joint.copy()
     joint[READOUT, READOUT] = 1e-4
     joint[READOUT, :3] = joint[:3, READOUT] = 1e-6
-    state = replace(state, joint=joint)
+    state = state._replace(joint=joint)
     dt, h = 0.4, 1e-6
     k = len(state.joint)
     base = quiet.predict(state, state.stamp + dt)
@@ -83,7 +83,7 @@ def test_the_innovation_depends_on_each_error_as_finite_differences_say(rate, de
     """H joint with a unit covariance, at rates that are parts of a flick, with rows read up to `delay` s late."""
     state, _ = settled()
     k = len(state.joint)
-    state = replace(state, rate=rate * FLICK, acceleration=np.zeros(3), joint=np.eye(k), readout=readout)
+    state = state._replace(rate=rate * FLICK, acceleration=np.zeros(3), joint=np.eye(k), readout=readout)
     p = state.discs @ state.attitude.T
     columns = np.flatnonzero(p[:, 2] > HORIZON)
     row = np.random.default_rng(34).uniform(-0.5, 0.5, len(columns))
@@ -111,7 +111,7 @@ def test_a_new_disc_is_as_uncertain_as_sampling_says(delay):
     P = state.joint.copy()
     P[:3, :3] += 1e-4 * np.diag([1.0, 2.0, 0.5]) * (delay == 0.0)  # an attitude, or a rate, that is badly known
     P[3:6, 3:6] += 0.04 * np.diag([1.0, 2.0, 0.5]) * (delay > 0.0)
-    state = replace(state, joint=P)
+    state = state._replace(joint=P)
     place, sigma = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8]), 5e-3 if delay == 0.0 else SIGMA
     added = augment(state, replace(points_at(place, sigma), delay=np.array([delay])), np.array([0]), RADIUS)
     samples = []
@@ -159,7 +159,7 @@ def test_predicted_covariance_is_the_scatter_of_samples(dt):
     P0[0, 4] = P0[4, 0] = 3e-4
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
     start = noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4])))
-    start = replace(start, rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((14, 14))))
+    start = start._replace(rate=w, acceleration=a0, joint=block_diag(P0, np.zeros((14, 14))))
     predicted = noisy.predict(start, dt)
     n, steps, tau = 6000, 8, PERSISTENCE_S
     e = draw(P0, rng, n)
@@ -308,7 +308,7 @@ def test_a_disc_is_missed_only_where_it_should_be(sigma, misses):
     joint = state.joint.copy()
     joint[:3, :3] = sigma**2 * np.eye(3)
     none = Pairing(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp))
-    after = FILTER.keep_map(replace(state, joint=joint), points_at([0.0, 0.0, 1.0]), none, np.zeros(1, dtype=bool))
+    after = FILTER.keep_map(state._replace(joint=joint), points_at([0.0, 0.0, 1.0]), none, np.zeros(1, dtype=bool))
     assert np.any(after.missed > state.missed) == misses
 
 
@@ -322,7 +322,7 @@ def test_relocation_keeps_the_map_and_forgets_the_rest():
     state, _ = settled()
     joint = state.joint.copy()
     joint[READOUT, READOUT] = 1e-8
-    state = replace(state, joint=joint, readout=0.012)  # learnt before
+    state = state._replace(joint=joint, readout=0.012)  # learnt before
     found = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
     placed = relocate(state, found, 9e-6 * np.eye(3), SETTINGS, 99.0)
     assert placed.stamp == 99.0
@@ -528,13 +528,13 @@ def test_a_look_alike_beside_a_hidden_disc_is_left_out_after_a_gap():
 
 def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     state, R = settled(rate=(0.2, 0.0, 0.0))
-    state = replace(state, acceleration=np.zeros(3), modes=None)
+    state = state._replace(acceleration=np.zeros(3), modes=None)
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude, atol=1e-5)  # a hand may stop the ball
     assert_allclose(blind.joint[KINEMATIC_DIM:, KINEMATIC_DIM:], predicted.joint[KINEMATIC_DIM:, KINEMATIC_DIM:])
     assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
-    predicted = OWN.predict(replace(state, weights=np.ones(1), modes=None), state.stamp + DT)
+    predicted = OWN.predict(state._replace(weights=np.ones(1), modes=None), state.stamp + DT)
     p = seen(exp(np.array([0.2 * DT, 0, 0])) @ R)[0]
     one = OWN.update(predicted, points_at(p))
     assert len(one.used) == 1
@@ -551,7 +551,7 @@ def test_the_twist_about_one_disc_depends_on_its_prior_without_a_jump():
     joint[3:6, 3:6] += 0.5**2 * np.outer(p, p)
     for twist in np.linspace(0.0, 1.5, 61):
         after, _ = FILTER.correct(
-            replace(state, rate=twist * p, acceleration=np.zeros(3), joint=joint, modes=None),
+            state._replace(rate=twist * p, acceleration=np.zeros(3), joint=joint, modes=None),
             points_at(p),
             Pairing(np.array([0]), np.array([0])),
         )

@@ -156,10 +156,10 @@ def test_innovation_and_new_discs_depend_on_pose_and_ball_as_finite_differences_
     state = consider.update(consider.initial(0.0, np.eye(3)), points)
     state = inject(state, 1e-5 * np.random.default_rng(23).normal(size=len(state.joint)))  # not zero innovations
     rows = np.arange(len(d))
-    known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
+    known = state._replace(joint=np.eye(len(state.joint)))  # then H @ joint is H
     A = consider.station.common_by_pose_and_ball()
     H = innovation(known, points, rows)[1][:, COMMON] @ A
-    bare = replace(known, landmarks=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
+    bare = known._replace(landmarks=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(MAP_OFFSET + CLONE_DIM))
     added = augment(bare, points, rows, RADIUS)
     ours = added.joint[MAP_OFFSET:-CLONE_DIM, COMMON] @ A
     h = 1e-5
@@ -256,7 +256,7 @@ def test_points_of_a_rolling_shutter_give_the_attitude_at_the_stamp():
     rng = np.random.default_rng(31)
     errors, sigmas = [], []
     for _ in range(40):
-        state = replace(quiet.initial(0.0, np.eye(3)), rate=FLICK)
+        state = quiet.initial(0.0, np.eye(3))._replace(rate=FLICK)
         for k in range(25):
             points = rolled(lambda t, k=k: exp(FLICK * (k * DT + t[:, None])), rng)
             state = quiet.update(quiet.predict(state, k * DT), points)
@@ -303,7 +303,7 @@ def test_the_readout_is_as_certain_as_it_says():
     for _ in range(runs):
         shutter, start = UNKNOWN * rng.normal(), rng.normal(size=3)
         start *= 1.0 / np.linalg.norm(start)
-        state = replace(own.initial(0.0, np.eye(3)), rate=start)
+        state = own.initial(0.0, np.eye(3))._replace(rate=start)
         for k, (R, w, a) in enumerate(own_motion(rng, 60, 0.01, start)):
             points = rolled(
                 lambda t, R=R, w=w, a=a: exp(w * t[:, None] + 0.5 * a * t[:, None] ** 2) @ R,
@@ -331,8 +331,8 @@ def test_a_large_correction_with_an_unknown_readout_is_the_least_squares_solutio
     joint[3:6, 3:6] = 1e-10 * np.eye(3)
     joint[READOUT, READOUT] = UNKNOWN**2
     rate = 0.5 * FLICK
-    wrong = replace(state, attitude=exp(np.array([0.05, -0.04, 0.03])) @ R, rate=rate, acceleration=np.zeros(3))
-    wrong = replace(wrong, joint=joint, process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)))
+    wrong = state._replace(attitude=exp(np.array([0.05, -0.04, 0.03])) @ R, rate=rate, acceleration=np.zeros(3))
+    wrong = wrong._replace(joint=joint, process=np.zeros((KINEMATIC_DIM, KINEMATIC_DIM)))
     d = state.discs[(state.discs @ R.T)[:, 2] > HORIZON + 0.1]
     row = -0.5 * (d @ R.T)[:, 1]
     points = points_at(np.einsum("kij,kj->ki", exp(0.02 * row[:, None] * rate) @ R, d), rng=rng)
@@ -359,8 +359,8 @@ def test_new_discs_depend_on_the_readout_as_finite_differences_say(rate):
     row, readout, h = np.array([-0.4, 0.5, 0.1, -0.2]), 0.02, 1e-5
     points = replace(points_at(p), delay=0.01 * row, row=row)  # the rig says 10 ms
     nothing = {"landmarks": np.zeros((0, 3)), "basis": np.zeros((0, 3, 2)), "joint": np.eye(MAP_OFFSET + CLONE_DIM)}
-    bare = replace(state, rate=rate * FLICK, acceleration=np.zeros(3), readout=readout, **nothing)
-    added, *ends = (augment(replace(bare, readout=readout + s * h), points, rows, RADIUS) for s in (0, 1, -1))
+    bare = state._replace(rate=rate * FLICK, acceleration=np.zeros(3), readout=readout, **nothing)
+    added, *ends = (augment(bare._replace(readout=readout + s * h), points, rows, RADIUS) for s in (0, 1, -1))
     slope = np.einsum("mij,mi->mj", added.basis, (ends[0].discs - ends[1].discs) / (2 * h)).ravel()
     assert_allclose(added.joint[MAP_OFFSET:-CLONE_DIM, READOUT], slope, atol=1e-4 * np.abs(slope).max())
 

@@ -151,7 +151,7 @@ def test_maps_of_several_cameras_grow_and_shrink_together():
     state, R = settled()
     two = state.with_camera(1e-8 * np.eye(16))
     turned = exp(np.array([0.0, 0.5, 0.0])) @ R
-    later = FILTER.update(replace(two, attitude=turned), points_at(seen(turned)))
+    later = FILTER.update(two._replace(attitude=turned), points_at(seen(turned)))
     assert len(later.discs) > len(two.discs)
     assert [len(other.hidden) for other in later.others] == [len(later.discs)]
     saved, alone = to_map(two, 1), to_map(state, 1)

@@ -54,7 +54,7 @@ def eccentric_from_the_start():
     state = FILTER.initial(0.0, np.eye(3))
     joint = state.joint.copy()
     joint[ECCENTRICITY, ECCENTRICITY] = (ECCENTRIC_SIGMA * RADIUS) ** 2 * np.eye(3)
-    return replace(state, joint=joint)
+    return state._replace(joint=joint)
 
 
 @pytest.mark.parametrize("adopt", [60, 120])

@@ -53,15 +53,15 @@ def test_the_map_holds_the_discs_seen_often_enough():
     assert len(state.discs) == 24
     hits = state.hits.copy()
     hits[[2, 5]] = 2
-    known = to_map(replace(state, hits=hits), 3)
+    known = to_map(state._replace(hits=hits), 3)
     assert known is not None
     keep = np.delete(np.arange(24), [2, 5])
     assert_array_equal(known.directions, state.discs[keep])
     assert_array_equal(known.sightings, hits[keep])
     two = np.flatnonzero(np.repeat(np.isin(np.arange(24), keep), 2))
     assert_allclose(known.covariance, to_map(state, 1).covariance[np.ix_(two, two)], rtol=1e-12)
-    assert to_map(replace(state, hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
-    some = to_map(replace(state, hits=np.where(np.arange(24) < 4, 9, 0)), 3)
+    assert to_map(state._replace(hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
+    some = to_map(state._replace(hits=np.where(np.arange(24) < 4, 9, 0)), 3)
     assert some is not None
     assert len(some) == 4
 
@@ -77,7 +77,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
     for i in range(24):
         at = MAP_OFFSET + 2 * i
         T[at : at + 2, at : at + 2] = turn[i].T
-    state = replace(state, basis=turned, joint=T @ state.joint @ T.T)
+    state = state._replace(basis=turned, joint=T @ state.joint @ T.T)
     known = to_map(state, 1)
     assert known is not None
     axes = tangent_basis(known.directions)
@@ -121,7 +121,7 @@ def test_an_error_that_attitude_and_discs_share_is_never_measured(axes):
         state = FILTER.initial(0.0, exp(sigma * shared @ rng.normal(size=3)))
         joint = state.joint.copy()
         joint[:3, :3] = sigma**2 * shared
-        state = replace(state, joint=joint)
+        state = state._replace(joint=joint)
         for k in range(26):
             interval = (0.2 if k % 5 == 0 else DT) if k else 0.0
             rate = rate + 0.7 * rng.normal(size=3) if k % 5 == 0 else rate
@@ -148,7 +148,7 @@ def test_a_point_in_the_wide_gate_of_a_disc_makes_no_certain_frame():
     assert FILTER.update_if_certain(state, points, free) is not None
     joint, at = state.joint.copy(), state.map_row + 2 * 2
     joint[at, at] += 0.15**2
-    wide, aside = replace(state, joint=joint), DISCS[which].copy()
+    wide, aside = state._replace(joint=joint), DISCS[which].copy()
     aside[2] = aside[2] + 0.05 * state.basis[2, :, 0]
     assert FILTER.update_if_certain(wide, points_at(aside, rng=rng), free) is None
 
@@ -161,7 +161,7 @@ def test_a_candidate_measures_the_turn_since_its_first_sighting():
         state, rate = FILTER.initial(0.0, R), 0.5 * rng.normal(size=3)
         joint = state.joint.copy()
         joint[3:6, 3:6] = 0.5**2 * np.eye(3)
-        state = replace(state, joint=joint)
+        state = state._replace(joint=joint)
         state = augment(state, points_at(known @ R.T, rng=rng), np.array([0]), FILTER.station.radius)
         aside = exp(0.3 * rng.normal(size=3)) @ np.cross(DISCS[0], rng.normal(size=3))
         other = (known[0] + 0.5 * aside / np.linalg.norm(aside))[None]
@@ -270,7 +270,7 @@ def test_an_attitude_that_the_discs_share_weakens_no_sighting():
         joint = start.joint.copy()
         joint[:3, :3] = sigma**2 * np.eye(3)
         points = points_at(discs, rng=rng)
-        state, total = augment(replace(start, joint=joint), points, np.arange(3), FILTER.station.radius), 0.0
+        state, total = augment(start._replace(joint=joint), points, np.arange(3), FILTER.station.radius), 0.0
         for k in range(1, 9):
             points = points_at(discs @ exp(SPIN * k * DT).T, rng=rng)
             state = FILTER.predict(state, k * DT)

@@ -52,7 +52,7 @@ def doubtful(state, axis, sigma, stamp):
     joint = state.joint.copy()
     joint[:3] = joint[:, :3] = 0.0
     joint[:3, :3] = 1e-6 * np.eye(3) + sigma**2 * np.outer(axis, axis)
-    return replace(state, joint=joint, stamp=stamp)
+    return state._replace(joint=joint, stamp=stamp)
 
 
 @pytest.mark.parametrize("seed", seeds(2, 6))
@@ -85,7 +85,7 @@ def test_an_estimate_in_doubt_has_the_covariance_of_all_hypotheses():
     """Drawn from the hypotheses, attitudes and rates scatter about the reported ones as its covariance says."""
     tracker, state, discs, rng = known_ball(12, 1)
     state = at_rest(tracker, state, discs, rng)
-    turned = replace(state.filter, attitude=exp(np.array([0.0, 0.0, 0.2])) @ state.filter.attitude)
+    turned = state.filter._replace(attitude=exp(np.array([0.0, 0.0, 0.2])) @ state.filter.attitude)
     state = state._replace(alternatives=(Hypothesis(turned, np.log(0.4)),))
     none = photo(np.eye(3), rng, discs).take(np.zeros(0, dtype=np.intp))
     done = advance(state, state.filter.stamp + DT, none, tracker)
@@ -117,7 +117,7 @@ def test_a_ball_that_passes_through_an_attitude_is_none_that_rests_there():
     state = at_rest(tracker, state, discs, rng)
     rests = tracker.filter.predict(state.filter, state.filter.stamp + DT)
     predicted = [
-        Hypothesis(replace(rests, rate=np.array([0.0, 0.0, rate])), np.log(probability))
+        Hypothesis(rests._replace(rate=np.array([0.0, 0.0, rate])), np.log(probability))
         for rate, probability in ((8.0, 0.6), (0.0, 0.4))
     ]
     points = intersect(photo(np.eye(3), rng, discs).take(np.zeros(0, dtype=np.intp)), RIG, POSE)
@@ -202,7 +202,7 @@ def test_one_disc_leaves_a_known_twist_alone(sigma):
     axis = state.filter.attitude @ discs[np.argmax(discs @ state.filter.attitude[2])]
     joint = state.filter.joint.copy()
     joint[3:6, 3:6] += sigma**2 * np.outer(axis, axis)
-    turning = replace(state.filter, rate=2.0 * axis, joint=joint, modes=None)
+    turning = state.filter._replace(rate=2.0 * axis, joint=joint, modes=None)
     column = int(np.argmax(turning.discs @ (turning.attitude.T @ axis)))
     predicted = tracker.filter.predict(turning, turning.stamp + DT)
     points = intersect(photo(predicted.attitude, rng, discs), RIG, POSE)
@@ -240,7 +240,7 @@ def test_a_pair_in_a_wide_gate_is_not_certain():
     for sigma, certain in ((1e-3, True), (0.05, False)):
         doubt = state.joint.copy()
         doubt[:3, :3] += sigma**2 * np.outer(discs[0], discs[0])
-        predicted = filter_.predict(replace(state, joint=doubt, modes=None), state.stamp + DT)
+        predicted = filter_.predict(state._replace(joint=doubt, modes=None), state.stamp + DT)
         points = intersect(photo(exp(sigma * discs[0]), rng, discs), RIG, POSE)
         assert (filter_.update_if_certain(predicted, points, none) is not None) == certain
 
@@ -267,7 +267,7 @@ def test_a_turn_that_no_disc_has_shown_is_as_uncertain_as_a_random_walk_of_the_r
     rng, steps, duration = np.random.default_rng(0), 200, 0.2
     axis = np.array([0.6, 0.0, 0.8])
     state = FILTER.initial(0.0, np.eye(3))
-    known = replace(state, joint=np.zeros_like(state.joint))
+    known = state._replace(joint=np.zeros_like(state.joint))
     density = 2.0 * PERSISTENCE_S * usual_acceleration(FILTER.settings) ** 2
     rate = np.cumsum(rng.normal(0.0, np.sqrt(density * duration / steps), (20000, steps)), axis=1)
     turn = rate.sum(axis=1) * duration / steps
@@ -282,7 +282,7 @@ def test_an_update_takes_nothing_from_motion_about_an_axis_that_a_frame_did_not_
     axis = np.array([0.6, 0.0, 0.8])
     across, (tracker, state, discs, rng) = np.eye(3) - np.outer(axis, axis), known_ball(26, 1)
     f, before = tracker.filter, doubtful(state.filter, axis, 0.05, state.filter.stamp)
-    predicted = f.predict(replace(before, rate=0.3 * axis), before.stamp + DT)
+    predicted = f.predict(before._replace(rate=0.3 * axis), before.stamp + DT)
     updated = f.update(predicted, intersect(photo(exp(np.array([0.01, 0.02, 0.03])), rng, discs), RIG, POSE))
     assert axis @ updated.joint[:3, :3] @ axis < 0.1 * axis @ predicted.joint[:3, :3] @ axis
     kept = f.without_unseen_axes(updated, predicted, across)

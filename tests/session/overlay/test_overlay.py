@@ -91,7 +91,7 @@ def test_look_alikes_are_marked_where_they_are():
     place = state.detections.centre[state.points.index[0]]
     points = state.points.take(np.arange(1, len(state.points)))
     masked = state._replace(
-        points=points, filter=replace(state.filter, used=np.zeros(0, dtype=np.intp)),
+        points=points, filter=state.filter._replace(used=np.zeros(0, dtype=np.intp)),
         lookalikes=StaticDistractors(place[None], np.zeros(1)),
     )  # fmt: skip
     assert of_discs(masked, tracker, DT)["masked"] == [np.round(place, 2).tolist()]
