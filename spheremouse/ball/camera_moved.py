@@ -66,13 +66,8 @@ def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
     watch = watching.begin(tracker.rig, pose)
     if watch is None:
         return True  # too near the edge of the picture to be watched
-    indices = np.arange(len(watch), dtype=np.intp)
-    return bool(
-        np.count_nonzero(
-            watching.remember_targets(watch, frame.image, indices, tracker.rig, tracker.settings.rings).seen
-        )
-        >= 3
-    )
+    shown = watching.remember_targets(watch, frame.image, range(len(watch)), tracker.rig, tracker.settings.rings)
+    return bool(np.count_nonzero(shown.seen) >= 3)
 
 
 def hidden(watch: CameraMonitor | None) -> bool:
@@ -103,21 +98,18 @@ def bump_suspected(state: TrackState[So3State]) -> bool:
     """Return whether the discs of the last frame fit so badly that the camera may have moved; always True in LOST."""
     if state.status is not Status.TRACKING:
         return state.status is Status.LOST
-    freedom = 2 * len(state.filter.used)
-    return (
-        not state.confirmed
-        or state.filter.manoeuvre_level
-        >= (_MIN_BUMP_LEVEL_AT_REST if np.linalg.norm(state.filter.rate) < _MAX_REST_RATE_RAD_S else _MIN_BUMP_LEVEL)
-        or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
-    )
+    f, freedom = state.filter, 2 * len(state.filter.used)
+    level = _MIN_BUMP_LEVEL_AT_REST if f.speed < _MAX_REST_RATE_RAD_S else _MIN_BUMP_LEVEL
+    return not state.confirmed or f.manoeuvre_level >= level or f.nis > freedom + 5.0 * (2 * freedom) ** 0.5
 
 
 def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> CameraMonitor:
     """Learn the appearance of targets: of all at the first frame, then of one after the other."""
-    which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
-    if len(which) and watch.due > -np.inf:
-        which = which[which == (watch.last_target + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
-    if len(which) == 0:
+    which = [k for k, patch in enumerate(watch.patches) if patch is None]
+    if watch.due > -np.inf:
+        target = (watch.last_target + 1) % len(watch)
+        which = [target] if target in which and frame.stamp >= watch.due else []
+    if not which:
         return watch
     return watching.remember_targets(watch, frame.image, which, tracker.rig, tracker.settings.rings)
 
@@ -159,7 +151,7 @@ def check_targets(
             return CameraCheck(watch, moved=found)
     if displaced_on_rings is False:  # then a target out of its place was moved by itself, or is in another light
         displaced = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > watching.DISPLACED_PX)
-        watch = watching.remember_targets(watch, frame.image, displaced, tracker.rig, tracker.settings.rings)
+        watch = watching.remember_targets(watch, frame.image, displaced.tolist(), tracker.rig, tracker.settings.rings)
     return CameraCheck(watch)
 
 

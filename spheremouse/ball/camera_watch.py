@@ -8,6 +8,7 @@ edges, good to a hundredth of a pixel. Otherwise they come from the correlation,
 of a target shifts by another amount.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -93,9 +94,9 @@ def begin(rig: Rig, pose: Pose) -> CameraMonitor | None:
 
 
 def remember_targets(
-    watch: CameraMonitor, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings
+    watch: CameraMonitor, image: Image, which: Iterable[int], rig: Rig, rings: RingSettings
 ) -> CameraMonitor:
-    """Store the current patches of the targets `which`, (k,) indices.
+    """Store the current patches of the targets `which`, their indices.
 
     A patch is stored only if it shows a target: it has contrast and is point-symmetric.
     """

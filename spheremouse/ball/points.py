@@ -94,7 +94,7 @@ def intersect(
     if which is not None:
         centre, noise = centre[which], noise[which]
     view, rig_error = view_of(rig, pose), np.zeros(4) if rig_error is None else rig_error
-    if rig_error.any():
+    if any(rig_error.tolist()):
         view = _with_error(view, rig_error)
     points = SpherePoints(*kernels.intersect(centre, noise, view), rig_error)
     return points if which is None else replace(points, index=which[points.index])

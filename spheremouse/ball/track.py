@@ -186,7 +186,8 @@ def _stages(
     detections, search = tracker.detector.detect(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
-    done = done._replace(events=(*events, *done.events))
+    if events:
+        done = done._replace(events=(*events, *done.events))
     done = colours.refine_projection(done, frame, tracker)
     return done if done.state.colours is before else colours.with_colour_event(done, before)
 
@@ -285,7 +286,7 @@ def advance(
     """Process one frame after detection; `predicted` is the filter at `stamp`, if known."""
     carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp)
-    which = None if free.all() else np.flatnonzero(free)
+    which = None if all(free.tolist()) else np.flatnonzero(free)
     points = intersect(
         detections,
         tracker.rig,
@@ -326,15 +327,15 @@ def _learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Eve
 
 def _step(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
     """Return the estimate of a frame, with the increment since the last confirmed one if discs confirm the attitude."""
-    state, frames, f = state._replace(shown_at=stamp), state.frames + 1, state.filter
+    frames, f = state.frames + 1, state.filter
     increment, increment_covariance = np.zeros(6), np.zeros((6, 6))
     if state.status is not Status.TRACKING:
         estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
-        return Step(state._replace(withheld=None, frames=frames), estimate, events)
+        return Step(state._replace(withheld=None, frames=frames, shown_at=stamp), estimate, events)
     if not state.confirmed:
         withheld, more = _withheld(state, stamp)
         estimate = _estimate(state, stamp, increment, increment_covariance, confirmed=False)
-        return Step(state._replace(withheld=withheld, frames=frames), estimate, (*events, *more))
+        return Step(state._replace(withheld=withheld, frames=frames, shown_at=stamp), estimate, (*events, *more))
     rotation = rotation_between(state.reported_attitude, f.attitude)
     since = f.increment_covariance(rotation)
     if since[0, 0] + since[1, 1] + since[2, 2] <= PLACED**2:  # a motion unseen is a guess, and none is sent
@@ -349,6 +350,7 @@ def _step(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
         confirmed_at=stamp,
         withheld=None,
         frames=frames,
+        shown_at=stamp,
     )
     return Step(state, estimate, events)
 

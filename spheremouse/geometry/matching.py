@@ -9,7 +9,7 @@ from spheremouse.native import kernels
 
 def distances(a: Array, b: Array) -> Array:
     """Return the distances, (n, m), of points in a plane, (n, 2) and (m, 2)."""
-    return np.hypot(*(a[:, None] - b).T).T
+    return np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
 
 
 def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

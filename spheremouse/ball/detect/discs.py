@@ -10,8 +10,8 @@ measures each disc in its own window and does not process the whole image.
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -118,8 +118,7 @@ class DiscSettings:
         return PROJECTIONS.get(self.polarity)
 
 
-@dataclass(frozen=True, slots=True)
-class DiscDetector:
+class DiscDetector(NamedTuple):
     """The default detector with all data that is constant for one camera pose."""
 
     settings: DiscSettings
@@ -135,14 +134,14 @@ class DiscDetector:
         """Return the detector with another projection of colours."""
         if projection == self.model.fit.projection:
             return self
-        return replace(self, model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
+        return self._replace(model=self.model._replace(fit=self.model.fit._replace(projection=projection)))
 
     def with_lens_blur(self, sigma: float | None) -> "DiscDetector":
         """Return the detector for a lens that blurs with a standard deviation, px; None: a lens in focus."""
         blur = _rim_blur(self.settings, LENS_BLUR if sigma is None else sigma)
         if blur == self.model.fit.blur:
             return self
-        return replace(self, model=self.model._replace(fit=self.model.fit._replace(blur=blur)))
+        return self._replace(model=self.model._replace(fit=self.model.fit._replace(blur=blur)))
 
     def lens_blur(self, image: Image) -> float | None:
         """Return the standard deviation, px, 0.4 to 3, of the lens's blur in an image, by its edges near the ball.
@@ -180,7 +179,7 @@ class DiscDetector:
 
         The search tries each place at most once. It ends when a round of all shifts finds no new place.
         """
-        near_limb, idle = replace(self, lattice=self.slivers), 0
+        near_limb, idle = self._replace(lattice=self.slivers), 0
         state = SearchState(contrast=learnt.contrast)
         shifts = len(self.slivers.samples)
         while idle < shifts and state.turn < _MAX_ROUNDS * shifts:
@@ -300,7 +299,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
         and before.pose is pose
         and before.settings.masks == settings.masks
     ):
-        return replace(before, settings=settings, model=before.model._replace(fit=fit, min_area=settings.min_area))
+        return before._replace(settings=settings, model=before.model._replace(fit=fit, min_area=settings.min_area))
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _MAX_SEARCHED_DISC_PX)), 1)
     mask = unmasked(clear_mask(rig, pose), settings.masks)

@@ -78,17 +78,15 @@ def unmasked(state: StaticDistractors, centre: Array, stamp: float) -> tuple[NDA
 
     A mask that hides a detection gets `stamp`, s. The state loses masks that hid nothing for 600 s.
     """
-    if len(state.masks) == 0 or len(centre) == 0:
-        return np.ones(len(centre), dtype=bool), state
-    seen = state.mask_seen
-    near: Any = distances(centre, state.masks) < MASK_RADIUS_PX
-    hides = bool(near.any())
-    if hides:
-        seen = np.where(near.any(axis=0), stamp, seen)
+    free, seen = np.ones(len(centre), dtype=bool), state.mask_seen.copy()
+    if len(seen) == 0 or len(centre) == 0:
+        return free, state
+    hidden, hiding = (distances(centre, state.masks) < MASK_RADIUS_PX).nonzero()
+    free[hidden], seen[hiding] = False, stamp
     alive = stamp - seen < _MASK_LIFE_S
-    if hides or not alive.all():
+    if len(hidden) or not all(alive.tolist()):
         state = replace(state, masks=state.masks[alive], mask_seen=seen[alive])
-    return ~near.any(axis=1), state
+    return free, state
 
 
 def mask(state: StaticDistractors, centre: Array, stamp: float) -> StaticDistractors:
@@ -188,7 +186,7 @@ def known_before_to_turn(
     """Return a mask, (n,), of `centre`, (n, 2) px: candidates proven by earlier frames, at a predicted attitude."""
     proven = np.zeros(len(centre), dtype=bool)
     candidates = state.candidates
-    if not candidates.proven.any():
+    if np.count_nonzero(candidates.proven) == 0:
         return proven
     track = _match(candidates, _expected_places(candidates, attitude, rig, pose), centre)
     proven[track >= 0] = candidates.proven[track[track >= 0]]

@@ -203,7 +203,7 @@ class So3Filter:
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices, (k,), of the discs that face the camera."""
-        return np.flatnonzero(state.discs @ (self.station.towards @ state.attitude) > self.station.horizon)
+        return (state.discs @ (self.station.towards @ state.attitude) > self.station.horizon).nonzero()[0]
 
     def detection_probability(self, state: So3State) -> Array:
         """Return the probability, (m,), that each disc is detected at a predicted state."""
@@ -444,7 +444,7 @@ class So3Filter:
         """
         unpaired = free.copy()
         unpaired[rows] = False
-        new = np.flatnonzero(unpaired)
+        new = unpaired.nonzero()[0]
         if len(new) == 0:
             return new
         cosine = points.direction[new] @ state.attitude @ state.discs.T

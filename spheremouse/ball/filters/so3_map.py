@@ -84,7 +84,7 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
 
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
-    if keep.all():
+    if all(keep.tolist()):
         return state
     state = _with_landmarks(state, np.flatnonzero(np.concatenate([keep, np.ones(len(state.candidates), dtype=bool)])))
     others = tuple(other._replace(hidden=other.hidden[keep]) for other in state.others)

@@ -4,6 +4,7 @@ How errors move it. `so3_map` has how discs enter and leave it, `so3_camera` how
 it, and `so3` the filter itself.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -78,6 +79,11 @@ class So3State(NamedTuple):
     others: tuple[OtherCamera, ...] = ()  # (p,); fields without a camera are of the one that shows this frame
 
     @property
+    def speed(self) -> float:
+        """rad/s, magnitude of `rate`."""
+        return math.hypot(*self.rate.tolist())
+
+    @property
     def centre(self) -> Array:
         """(3,) m, obj, of the ball from its calibrated place."""
         return self.pivot + self.attitude @ self.eccentricity
@@ -105,7 +111,7 @@ class So3State(NamedTuple):
     @property
     def is_off_centre(self) -> bool:
         """Return whether the eccentricity is significant."""
-        return bool(self.eccentricity @ self.eccentricity >= self.joint.diagonal()[ECCENTRICITY].sum())
+        return float(self.eccentricity @ self.eccentricity) >= sum(self.joint.diagonal()[ECCENTRICITY].tolist())
 
     @property
     def map_row(self) -> int:

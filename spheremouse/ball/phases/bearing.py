@@ -142,7 +142,7 @@ def with_eccentricity(
     """Return the state of an eccentric ball if the frames show that it is one; `before` is that before the frame."""
     f = state.filter
     is_due = stamp // _ECCENTRIC_CHECK_S != before.filter.stamp // _ECCENTRIC_CHECK_S
-    if not (is_due and state.confirmed and isinstance(state.phase, Tracking)) or float(f.rate @ f.rate) < RESTS**2:
+    if not (is_due and state.confirmed and isinstance(state.phase, Tracking)) or f.speed < RESTS:
         return state
     eccentric = as_eccentric(f, tracker.rig.ball.radius)
     return state if eccentric is None else state._replace(filter=eccentric)
@@ -255,7 +255,7 @@ def _update_odds(
     """
     f, used, keep = state.filter, len(state.filter.used), math.exp(-dt / _EVIDENCE_TIME_S)
     check = check._replace(odds=keep * check.odds, odds_static=keep * check.odds_static)
-    rests, fits = float(f.rate @ f.rate) <= RESTS**2, f.nis <= LARGE_NIS * used
+    rests, fits = f.speed <= RESTS, f.nis <= LARGE_NIS * used
     if check.turned >= PROOF_ROTATION or check.moved or rests or used < 2 or fits:
         return check
     stage, pairing = tracker.filter, tracker.filter.nearest_pairs(predicted, state.points)
@@ -279,7 +279,7 @@ def _has_wrong_rig(check: CentreCheck) -> bool:
 def _is_doubtful(state: TrackState[So3State]) -> bool:
     """Return whether the last frame may show that the centre is off, or has to prove that it is not."""
     f, used = state.filter, len(state.filter.used)
-    unproven = state.centre.turned < PROOF_ROTATION and float(f.rate @ f.rate) > RESTS**2
+    unproven = state.centre.turned < PROOF_ROTATION and f.speed > RESTS
     return unproven or f.nis > LARGE_NIS * used or used < len(state.points)
 
 
@@ -299,9 +299,8 @@ def _proof(state: TrackState[So3State], shift: CentreOffset | None, dt: float, t
         return 0.0
     if not centre_offset.fits(shift, radius, lifted):
         return 0.0
-    speed = float(np.linalg.norm(state.filter.rate))
     variance = shift.sigma**2 + float(np.trace(state.filter.centre_covariance))
-    return speed * dt * min(1.0, (_PROOF_SIGMA * radius) ** 2 / max(variance, 1e-18))
+    return state.filter.speed * dt * min(1.0, (_PROOF_SIGMA * radius) ** 2 / max(variance, 1e-18))
 
 
 def with_doubtful_map(state: So3State, doubt: float) -> So3State:

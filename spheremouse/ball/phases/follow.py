@@ -97,9 +97,10 @@ def updated_hypotheses(
     points, centre, f = state.points, state.detections.centre[state.points.index], tracker.filter
     if proven is None:
         proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose)
-        if proven.any():
+        if np.count_nonzero(proven):
             proven &= _is_clear(state)
-    proven &= extend_map
+    if not extend_map:
+        proven = np.zeros_like(proven)
     turned_unseen = _turned_unseen(state, stamp, tracker, predicted)
     in_doubt = bool(state.alternatives) or turned_unseen is not None
     certain = None if in_doubt else f.update_if_certain(predicted, points, proven)
@@ -114,7 +115,7 @@ def updated_hypotheses(
             rest.append(Hypothesis(turned_unseen, math.log(_UNSEEN_TURN_PROBABILITY)))
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
-        turns = float(predicted.rate @ predicted.rate) > _TURNING_RATE**2
+        turns = predicted.speed > _TURNING_RATE
         has_turned = turns or float(turned @ turned) > (2.0 * f.disc_angle) ** 2
         needed = has_turned and extend_map
         hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, needed)
@@ -174,7 +175,7 @@ def is_covered(state: TrackState[So3State], predicted: So3State, tracker: Tracke
     half of the discs contradict counts as a cover, too. If discs in their places are significant, the ball is not
     covered.
     """
-    if not (predicted.is_placed and float(predicted.rate @ predicted.rate) < _REST_RATE**2):
+    if not (predicted.is_placed and predicted.speed < _REST_RATE):
         return False
     filtered = state.filter
     jumped = filtered.manoeuvre_level >= _JUMP_LEVEL
@@ -237,8 +238,8 @@ def confirms(posterior: FilterState, points: int, predicted: FilterState, tracke
     Two discs confirm it, or one disc if the attitude is already well known. Chance must not explain these discs, since
     a few of many false candidates always fit. The rate must be one that a hand can produce.
     """
-    settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
-    if used == 0 or float(rate @ rate) > settings.fastest**2:
+    used = len(posterior.used)
+    if used == 0 or math.hypot(*posterior.rate.tolist()) > tracker.settings.loss.fastest:
         return False
     if 2 * used < points and not tracker.filter.is_significant(predicted, used, points):
         return False

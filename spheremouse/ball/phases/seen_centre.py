@@ -5,7 +5,6 @@ centre moves. Shading shifts the outline by about the same in each frame. So its
 centre, unless the centre moved before it proved its place.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -64,26 +63,25 @@ def with_outline(
     While the centre moves, the outline corrects the prediction. Otherwise it is only compared with the first one.
     """
     check, moves = state.outline, predicted.centre_noise > 0.0
-    speed = math.sqrt(float(state.filter.rate @ state.filter.rate))
-    if not (moves or _is_due(state, predicted.stamp, speed)):
+    if not (moves or _is_due(state, predicted.stamp)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre, check.trust)
-    turned = speed * max(predicted.stamp - state.filter.stamp, 0.0)
+    turned = state.filter.speed * max(predicted.stamp - state.filter.stamp, 0.0)
     check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
         return state._replace(outline=check), correct_by_outline(predicted, check)
     return state._replace(outline=_compared_with_first(check, predicted)), predicted
 
 
-def _is_due(state: TrackState[So3State], stamp: float, speed: float) -> bool:
-    """Return whether the outline must be measured while the centre is in its place; `speed` is the ball's, rad/s."""
+def _is_due(state: TrackState[So3State], stamp: float) -> bool:
+    """Return whether the outline must be measured while the centre is in its place."""
     check, used = state.outline, len(state.filter.used)
     if state.status is Status.LOST:
         return False
     if check.away > 0 or state.centre.evidence > _DOUBTFUL or state.filter.nis > LARGE_NIS * used:
         return True
     again = not 0.0 <= stamp - check.measured < _INTERVAL_S
-    return speed > RESTS and (check.watched < _WATCHED or (again and used < _FEW_DISCS))
+    return state.filter.speed > RESTS and (check.watched < _WATCHED or (again and used < _FEW_DISCS))
 
 
 def correct_by_outline(predicted: So3State, check: OutlineCheck) -> So3State:

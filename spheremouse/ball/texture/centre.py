@@ -90,7 +90,7 @@ def update_check(
     """
     path, covariance = _displacement(seen, predicted)
     dt = _FRAMES * dt if _is_regular(now) else dt
-    check = check._replace(turned=check.turned + float(np.linalg.norm(predicted.rate)) * dt)
+    check = check._replace(turned=check.turned + predicted.speed * dt)
     return with_evidence(check, _squared_mahalanobis(path, covariance), dt)
 
 
