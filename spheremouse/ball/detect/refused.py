@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import permutations
 
-import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
@@ -60,7 +59,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     `radii` (3,) are the rig's circles, in any unit. Takes ten times as long as `detect_targets`.
     """
     proportion = np.asarray(radii, dtype=float) / radii[-1]
-    spots = {colour: _without_holes(s) for colour, s in spots_of(image, settings).items()}
+    spots = spots_of(image, settings)
     found = _Places(seen)
     for bound, wider in (
         (Bound.EDGES, settings),
@@ -110,12 +109,6 @@ def _relaxed_rules(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
         (Bound.LIGHT, pale),
         (Bound.HUE, replace(s, **hues)),
     )
-
-
-def _without_holes(spots: Spots) -> Spots:
-    """Remove the outlines of holes in rings. In a target with wrong proportions, a hole could pass for a ring."""
-    keep = [k for k, c in enumerate(spots.contours) if cv2.contourArea(c, oriented=True) < 0.0]
-    return Spots(tuple(spots.contours[k] for k in keep), spots.centre[keep], spots.radius[keep])
 
 
 def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -> list[tuple[str, Array, float]]:

@@ -21,6 +21,10 @@ from spheremouse.settings import param
 MAX_COPIES = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
 _MAX_MEASURED_PICTURE_AREAS = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
 _MEDIAN_PX = 3  # width of the median filter of a picture; it removes salt and keeps thin rings
+_PAPER_STEP = 4  # px, in which the brightness of paper is averaged, against noise
+_PAPER_SHARE = 0.1  # of the picture's width, in which a target shows paper or two of its colours
+_DARKEST_PAPER = 56  # grey value of the paper from which noise would seem coloured: a quarter of white
+_WHITE = 230.0  # grey value that paper gets, as in good light
 _OPENING_PX = 3  # width of the opening of a colour's mask; not more than a ring is wide
 _FEW_PAIRS = 1 << 16  # of spots, all compared: in 2 ms
 _MIN_PIXELS_OF_COLOUR = 4  # on each side of an edge
@@ -33,10 +37,10 @@ class RingSettings:
     """Bounds of the targets' colours and shapes."""
 
     cyan: tuple[int, int] = param(
-        (75, 105), "OpenCV hue", "cyan print is 90; 15 either way for the light", ge=0, le=180
+        (63, 117), "OpenCV hue", "cyan print is 90; blur mixes hues, up to halfway", ge=0, le=180
     )
-    magenta: tuple[int, int] = param((135, 170), "OpenCV hue", "magenta print is 150 and leans to red", ge=0, le=180)
-    yellow: tuple[int, int] = param((18, 42), "OpenCV hue", "yellow print is 30; orange ends at 18", ge=0, le=180)
+    magenta: tuple[int, int] = param((123, 180), "OpenCV hue", "magenta print is 150, up to halfway", ge=0, le=180)
+    yellow: tuple[int, int] = param((6, 54), "OpenCV hue", "yellow print is 30, up to halfway", ge=0, le=180)
     saturation: tuple[int, int] = param((60, 255), "-", "saturation bounds (Wittich 2017, table 4)", ge=0, le=255)
     value: tuple[int, int] = param(
         (60, 255), "-", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
@@ -148,9 +152,22 @@ def candidates_of(
     return candidates, crowded
 
 
+def on_white(image: Image) -> Image:
+    """Return a BGR image, (h, w, 3), in the light under which the paper of a target is white.
+
+    Each channel is divided by its greatest value nearby, which is that of the paper. Two rings beside each other
+    have it, too. So neither the colour of the light nor its strength changes the hues of a print.
+    """
+    height, width = image.shape[:2]
+    reach = max(int(width * _PAPER_SHARE / _PAPER_STEP), 2) | 1
+    small = cv2.resize(image, (-(-width // _PAPER_STEP), -(-height // _PAPER_STEP)), interpolation=cv2.INTER_AREA)
+    paper = cv2.blur(cv2.dilate(small, np.ones((reach, reach), np.uint8)), (reach, reach))
+    paper = cv2.resize(np.maximum(paper, _DARKEST_PAPER), (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.divide(image, paper, scale=_WHITE)
+
+
 def _masks(image: Image, settings: RingSettings) -> list[Image]:
-    smooth = cv2.medianBlur(image, _MEDIAN_PX)
-    hsv = cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)
+    hsv = cv2.cvtColor(on_white(cv2.medianBlur(image, _MEDIAN_PX)), cv2.COLOR_BGR2HSV)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_OPENING_PX, _OPENING_PX))
     masks = []
     for low, high in (settings.cyan, settings.magenta, settings.yellow):

@@ -16,7 +16,7 @@ const RECTANGLE = [[0, 1], [2, 1], [2, 3], [0, 3]]; // edges at the corners
 const EDGES = ["left", "top", "right", "bottom"];
 const TARGETS = ["rings.cyan", "rings.magenta", "rings.yellow"];
 const LIMITS = ["rings.saturation", "rings.value"];
-const HUE_HALF_WIDTH = 15; // OpenCV hue, for the light
+const HUE_HALF_WIDTH = 27; // OpenCV hue, up to halfway to the other two colours
 const GRIP_RADIUS = 9; // screen pixels about a corner
 const MIN_SIDE = 3; // px of a rectangle
 

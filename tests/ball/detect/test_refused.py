@@ -52,7 +52,7 @@ def without_third():
         (off_centre(), SETTINGS, Bound.CENTRE, "CMY"),
         (out_of_proportion(), SETTINGS, Bound.RATIO, "CMY"),
         (small(), RingSettings(min_radius=4.0), Bound.SIZE, "CMY"),
-        (0.25 * good(), SETTINGS, Bound.LIGHT, "CMY"),
+        (0.06 * good(), SETTINGS, Bound.LIGHT, "CMY"),
         (0.2 * good() + 165.0, SETTINGS, Bound.LIGHT, "CMY"),
         (good(), RingSettings(cyan=(75, 85)), Bound.HUE, "CMY"),
         (without_third(), SETTINGS, Bound.COLOURS, "MY"),
