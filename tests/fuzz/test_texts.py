@@ -126,7 +126,7 @@ def test_spec(spec: str) -> None:
             pass
 
     refused(source)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO())):
         refused(output)
 
 

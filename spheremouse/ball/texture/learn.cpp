@@ -123,7 +123,8 @@ void learn_texture(nb::tuple seen, nb::tuple picture_, nb::handle which_, nb::tu
     const auto odds = array<const float, -1>(seen[2], "odds"), offset = array<const float, -1>(seen[3], "offset");
     const int step = number<int>(seen[4], "step");
     if (offset.size() != odds.size()) throw nb::type_error("offset: must have the length of odds");
-    if (contrast.size() == 0 || number_of.size() == 0) throw nb::type_error("contrast, number: must have pixels");
+    if (contrast.shape(0) < 2 || contrast.shape(1) < 2) throw nb::type_error("contrast: must have two rows and columns");
+    if (number_of.size() == 0) throw nb::type_error("number: must have pixels");
     if (step < 1) throw nb::index_error("step: must be 1 or more");
     std::vector<float> still(number_of.size(), NAN);
     for (size_t i = 0; i < still.size(); i++) {
