@@ -105,13 +105,11 @@ def bump_suspected(state: TrackState[So3State]) -> bool:
 
 def with_references(watch: CameraMonitor, frame: Frame, tracker: Tracker) -> CameraMonitor:
     """Learn the appearance of targets: of all at the first frame, then of one after the other."""
-    which = [k for k, patch in enumerate(watch.patches) if patch is None]
-    if watch.due > -np.inf:
-        target = (watch.last_target + 1) % len(watch)
-        which = [target] if target in which and frame.stamp >= watch.due else []
-    if not which:
+    if frame.stamp < watch.due:
         return watch
-    return watching.remember_targets(watch, frame.image, which, tracker.rig, tracker.settings.rings)
+    following = range(len(watch)) if watch.due == -np.inf else [(watch.last_target + 1) % len(watch)]
+    which = [k for k in following if watch.patches[k] is None]
+    return watching.remember_targets(watch, frame.image, which, tracker.rig, tracker.settings.rings) if which else watch
 
 
 def out_of_sight(state: TrackState, stamp: float) -> bool:

@@ -49,9 +49,8 @@ def as_eccentric(state: So3State, radius: float) -> So3State | None:
     is_eccentric = np.trace(P) > 4.0 * prior**2 or np.linalg.norm(state.eccentricity) > _ROUND_SIGMAS * prior
     if is_eccentric or state.centre_noise > 0.0:
         return None
-    inverse = np.linalg.inv(P)
-    information, axes = np.linalg.eigh(inverse - prior**-2 * np.eye(3))
-    shown = _Shown(axes.T @ inverse @ state.eccentricity, np.maximum(information, 0.0), axes)
+    variance, axes = np.linalg.eigh(P)
+    shown = _Shown(axes.T @ state.eccentricity / variance, np.maximum(1.0 / variance - prior**-2, 0.0), axes)
     if shown.log_odds(sigma) < _MIN_LOG_ODDS:
         return None
     mean, covariance = shown.estimate(sigma)
