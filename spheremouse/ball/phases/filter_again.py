@@ -51,9 +51,9 @@ def filtered_with_others(
 ) -> TrackState[F]:
     """Return the state after filtering all views again with those of `others`, if they agree.
 
-    Two cameras show more discs beside the first attitude, to which all later ones refer. So their errors reduce its
-    part in the error of all others. A frame of another camera agrees if it does not move the attitude by more than this
-    camera's covariance explains.
+    The first attitude is the reference of all later ones. The more discs stand beside it, the smaller is the error that
+    they have in common. The other views agree if they do not move the attitude by more than the covariance of this
+    camera alone explains.
     """
     if not others:
         return state
@@ -109,8 +109,7 @@ def filtered_again(
         if predicted.centre_noise > 0.0 and view.ball_centre is not None:
             seen = view.ball_centre
             predicted = with_seen_centre(predicted, seen.place, seen.axes, seen.covariance)
-        earlier = views[: min(k, len(views))]
-        state = its_tracker.method.update_all(state, view.stamp, its_tracker, predicted, earlier)
+        state = its_tracker.method.update_all(state, view.stamp, its_tracker, predicted, views[:k])
         confirmed_at = view.stamp if state.confirmed else state.confirmed_at
         state = state._replace(confirmed_at=confirmed_at, shown_at=view.stamp)
     return state._replace(confirmed=not state.alternatives and len(state.filter.used) > 1)

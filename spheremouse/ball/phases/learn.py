@@ -48,8 +48,8 @@ def learn(
     established, a new candidate adds a disc to the map only after the ball has turned.
 
     Only frames of one camera count, since the others may show the same look-alikes elsewhere. Another camera takes its
-    part if it shows none for `loss.lost_after` s. Once the ball has turned, frames of all cameras count that came
-    meanwhile.
+    part if it shows none for `loss.lost_after` s. Once the ball has turned, the frames that the others showed meanwhile
+    count, too.
 
     `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
