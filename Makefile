@@ -192,7 +192,7 @@ fuzz: $(STAMP)
 
 # Leaks are not reported: Python frees much of its memory only with the process.
 SANITIZED = LD_PRELOAD="$$(c++ -print-file-name=libasan.so) $$(c++ -print-file-name=libstdc++.so.6)" \
-    ASAN_OPTIONS=detect_leaks=0 KERNELS=build/sanitize/Sanitized
+    ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 KERNELS=build/sanitize/Sanitized
 sanitize: $(STAMP)
 	@export CXXFLAGS="-O1 -g1 -fsanitize=address,undefined -fno-sanitize-recover=all"; $(call native,$(BIN)/python,build/sanitize,Sanitized)
 	$(SANITIZED) $(PYTEST) -p tests.other_kernels -m "not slow" tests/ball tests/wand tests/geometry tests/test_kernels.py

@@ -170,7 +170,7 @@ Light::Light(nb::handle light, nb::handle far, int reach)
       far_(array<const float, -1, -1>(far, "far")),
       reach_(reach) {
     const size_t few = far_.shape(0), n = far_.shape(1);
-    if (n == 0 || few == 0 || columns() % n || rows() % few)
+    if (n == 0 || few == 0 || columns() == 0 || rows() == 0 || columns() % n || rows() % few)
         throw nb::type_error("far: must have a pixel for each few of light");
     if (reach < 1 || reach > MOST_REACH) throw nb::index_error("reach: must be 1 or 2");
 }
