@@ -45,7 +45,7 @@ def test_the_picture_marks_the_targets_and_the_json_lists_them(spheremouse, shot
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda i: (0.2 * i).astype(np.uint8), ("0 targets", "refused     CMY: too dark or too pale; more light")),
+        (lambda i: (0.06 * i).astype(np.uint8), ("0 targets", "refused     CMY: too dark or too pale; more light")),
         (lambda i: cv2.GaussianBlur(i, (0, 0), 3.0), ("sharpness   blurred", "focus the lens")),
         (lambda i: cv2.cvtColor(cv2.cvtColor(i, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), ("0 targets",)),
         (lambda i: i, ("4 targets: ", "sharpness   sharp", "refused     M in C, no third colour")),
