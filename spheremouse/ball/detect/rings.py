@@ -152,7 +152,7 @@ def candidates_of(
     return candidates, crowded
 
 
-def on_white(image: Image) -> Image:
+def _on_white(image: Image) -> Image:
     """Return a BGR image, (h, w, 3), in the light under which the paper of a target is white.
 
     Each channel is divided by its greatest value nearby, which is that of the paper. Two rings beside each other
@@ -167,7 +167,7 @@ def on_white(image: Image) -> Image:
 
 
 def _masks(image: Image, settings: RingSettings) -> list[Image]:
-    hsv = cv2.cvtColor(on_white(cv2.medianBlur(image, _MEDIAN_PX)), cv2.COLOR_BGR2HSV)
+    hsv = cv2.cvtColor(_on_white(cv2.medianBlur(image, _MEDIAN_PX)), cv2.COLOR_BGR2HSV)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_OPENING_PX, _OPENING_PX))
     masks = []
     for low, high in (settings.cyan, settings.magenta, settings.yellow):
