@@ -6,7 +6,7 @@
 namespace spheremouse::ball {
 namespace {
 
-constexpr int SLOPE = 8;  // samples on each side of an edge
+constexpr int SLOPE = 8, FINE = 4;  // samples on each side of an edge that find it, and that place it
 constexpr int MIXED = 6;  // samples of a quarter of a pixel across its diagonal: a black pixel mixes into so many
 
 using Image = Array<const uint8_t, -1, -1, -1>;
@@ -50,19 +50,19 @@ struct Line {
         }
     }
 
-    /// Return the difference of the means of the samples before j and from j on, of the colour that differs most.
+    /// Return the difference of the means of so many samples before j and from j on, of the colour that differs most.
     ///
-    /// It is -1 within 14 samples of a black one.
-    float slope(size_t j) const {
-        const size_t end = black.size() - 1, margin = SLOPE + MIXED;
+    /// It is -1 where a black sample mixes into the means.
+    float slope(size_t j, int means = SLOPE) const {
+        const size_t end = black.size() - 1, margin = means + MIXED;
         if (black[std::min(j + margin, end)] > black[j > margin ? j - margin : 0]) return -1.0f;
         const float* here = &sums[j * channels];
         float most = 0.0f;
         for (size_t k = 0; k < channels; k++) {
-            const float before = here[k] - here[ptrdiff_t(k) - ptrdiff_t(SLOPE * channels)];
-            most = std::max(most, std::abs(here[k + SLOPE * channels] - here[k] - before));
+            const float before = here[k] - here[ptrdiff_t(k) - ptrdiff_t(means * channels)];
+            most = std::max(most, std::abs(here[k + means * channels] - here[k] - before));
         }
-        return most / SLOPE;
+        return most / float(means);
     }
 };
 
@@ -70,6 +70,21 @@ struct Line {
 double vertex(float before, float greatest, float after) {
     const float bend = (greatest - before) + (greatest - after);
     return bend > 0.0f ? 0.5 * double(after - before) / double(bend) : 0.0;
+}
+
+/// Return the place of an edge on a line of so many samples, from the sample at which long means differ most.
+///
+/// An edge beside it mixes into long means and pulls it. So short ones place it (edge focusing: Bergholm 1987).
+double place_of_edge(const Line& line, int found, int samples) {
+    double place = found;
+    float steepest = 0.0f;
+    for (int j = std::max(found - SLOPE, FINE + 1); j <= std::min(found + SLOPE, samples - FINE - 1); j++) {
+        const float before = line.slope(j - 1, FINE), here = line.slope(j, FINE), after = line.slope(j + 1, FINE);
+        if (!(std::min(before, after) >= 0.0f && here >= std::max(before, after) && here > steepest)) continue;
+        steepest = here;
+        place = j + vertex(before, here, after);
+    }
+    return place;
 }
 
 std::tuple<NewArray<double>, NewArray<double>, double> outline_slopes(nb::handle image_, nb::handle starts,
@@ -93,12 +108,14 @@ std::tuple<NewArray<double>, NewArray<double>, double> outline_slopes(nb::handle
             line.read(image, from.row(i), step.row(i));
             for (size_t j = 0; j < places; j++) slope[j] = line.slope(SLOPE + j);
             std::copy_if(slope.begin(), slope.end(), std::back_inserter(all), [](float s) { return s >= 0.0f; });
+            int found = -1;
             for (size_t j = 1; j + 1 < places; j++) {
                 const float least = std::min(slope[j - 1], slope[j + 1]), most = std::max(slope[j - 1], slope[j + 1]);
                 if (!(least >= 0.0f && slope[j] >= most && slope[j] > strongest(i))) continue;
                 strongest(i) = slope[j];
-                where(i) = double(SLOPE + j) + vertex(slope[j - 1], slope[j], slope[j + 1]);
+                found = int(SLOPE + j);
             }
+            if (found >= 0) where(i) = place_of_edge(line, found, int(samples));
         }
         const auto middle = all.begin() + ptrdiff_t(all.size() / 2);
         std::nth_element(all.begin(), middle, all.end());

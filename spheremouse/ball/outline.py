@@ -36,17 +36,26 @@ _MIN_SUPPORT = 0.2  # of the outline: the ball's edge is free on so much, and a 
 
 
 class SeenCentre(NamedTuple):
-    """The ball's centre by its outline or its pattern, across the line of sight."""
+    """The ball's centre by its outline or its pattern.
 
-    place: Array  # (2,) m, along the axes, from its place in the rig
-    axes: Array  # (3, 2) unit vectors, obj
-    scatter: Array  # (2, 2) m², covariance from the edges or the pixels
+    The first two axes are across the line of sight. An outline has a third, along it, which shows how much nearer the
+    ball looks than in another frame.
+    """
+
+    place: Array  # (k,) m, along the axes, from its place in the rig
+    axes: Array  # (3, k) unit vectors, obj
+    scatter: Array  # (k, k) m², covariance from the edges or the pixels
     common: float  # m², variance that frames share, from shading
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the place, (2, 2) m²."""
-        return self.scatter + self.common * np.eye(2)
+        """Covariance of the place, (k, k) m²."""
+        return self.scatter + self.common * np.eye(len(self.scatter))
+
+    @property
+    def across(self) -> "SeenCentre":
+        """The part across the line of sight. The other one includes the error of the rig's radius."""
+        return SeenCentre(self.place[:2], self.axes[:, :2], self.scatter[:2, :2], self.common)
 
 
 class SeenBall(NamedTuple):
@@ -131,8 +140,7 @@ def seen_centre(image: Image, rig: Rig, pose: Pose, expected: Array, trust: Arra
     """Return the ball's centre that the outline shows, near the `expected` one, (3,) m in obj.
 
     An edge counts by the `trust` (240,) in its normal, from the first frame (None: all alike), since a ball that moves
-    passes the edges of struts. Along the line of sight a shift looks like shade and blur, so that part is left out.
-    Returns None if too little of the outline is seen.
+    passes the edges of struts. Returns None if too little of the outline is seen.
     """
     found = _edges(image, rig, pose, expected, _POINTS // 2, 0.5 * _MAX_ERROR)
     if not _suffices(found, _POINTS // 2):
@@ -158,11 +166,17 @@ def _breaks_down(fit: _Fit, found: _Edges, radius: float, trust: Array | None = 
 
 
 def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> SeenCentre:
-    """Return the centre by a fit to the edges about the `expected` one."""
+    """Return the centre by a fit to the edges about the `expected` one.
+
+    A free arc of the outline confuses a shift across its middle with one along the line of sight, which looks like shade
+    and blur. Their joint covariance holds what it does show.
+    """
     towards = pose.position - expected
-    axes = tangent_basis(towards / np.linalg.norm(towards))
+    distance = float(np.linalg.norm(towards))
+    axes = np.column_stack([tangent_basis(towards / distance), towards / distance])
     variance = float(fit.weight @ fit.off**2) / max(float(fit.weight.sum()) - 3.0, 1.0)
     scatter = _SHARING_NEIGHBOURS * variance * axes.T @ np.linalg.inv(fit.N) @ axes
+    scatter[2, 2] += (_EDGE_SIGMA_PX / found.px * distance) ** 2
     common = (_SIDE_SIGMA_PX / found.px * rig.ball.radius) ** 2
     return SeenCentre(axes.T @ (expected + fit.shift - rig.ball.centre), axes, scatter, common)
 

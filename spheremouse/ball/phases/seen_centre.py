@@ -43,10 +43,11 @@ def with_first_outline(
     ball = seen_ball(image, tracker.rig, tracker.pose)
     if ball is None:
         return state._replace(outline=OutlineCheck(begun=True)), ()
-    first = ball.centre if state.filter.centre_noise == 0.0 else None
     confirms = abs(ball.size_error) < _CERTAIN_SIGMAS * ball.sigma
     size_sigma = max(ball.sigma, abs(ball.size_error)) if confirms else np.inf
-    check = OutlineCheck(begun=True, seen=ball.centre, first=first, trust=ball.trust, size_sigma=size_sigma)
+    seen = ball.centre if confirms else ball.centre.across
+    first = seen if state.filter.centre_noise == 0.0 else None
+    check = OutlineCheck(begun=True, seen=seen, first=first, trust=ball.trust, size_sigma=size_sigma)
     state = state._replace(outline=check._replace(attitude=state.filter.attitude))
     if confirms or state.rebuilt is not None:
         return state, ()
@@ -66,6 +67,8 @@ def with_outline(
     if not (moves or _is_due(state, predicted.stamp)):
         return (state if check.seen is None else state._replace(outline=check._replace(seen=None))), predicted
     seen = seen_centre(image, tracker.rig, tracker.pose, tracker.rig.ball.centre + predicted.centre, check.trust)
+    if seen is not None and check.size_sigma == np.inf:
+        seen = seen.across
     turned = state.filter.speed * max(predicted.stamp - state.filter.stamp, 0.0)
     check = check._replace(seen=seen, measured=predicted.stamp, watched=check.watched + turned)
     if moves:
@@ -103,11 +106,12 @@ def with_doubtful_turn(state: So3State, shift: Array, tracker: Tracker[So3Filter
 def _compared_with_first(check: OutlineCheck, predicted: So3State) -> OutlineCheck:
     """Return the check with `away` and `drift` by the way of the outline from its place in the first frame.
 
-    The way that an eccentric ball makes as it turns does not count.
+    The way that an eccentric ball makes as it turns does not count. Nor does the way along the line of sight, since a
+    lens that focuses makes the ball look nearer.
     """
-    seen, first = check.seen, check.first
-    if seen is None or first is None:
+    if check.seen is None or check.first is None:
         return check
+    seen, first = check.seen.across, check.first.across
     turned = seen.axes.T @ (predicted.attitude - check.attitude)
     step = seen.place - first.place - turned @ predicted.eccentricity
     covariance = seen.covariance + first.scatter + turned @ predicted.joint[ECCENTRICITY, ECCENTRICITY] @ turned.T
