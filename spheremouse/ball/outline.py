@@ -168,8 +168,8 @@ def _breaks_down(fit: _Fit, found: _Edges, radius: float, trust: Array | None = 
 def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> SeenCentre:
     """Return the centre by a fit to the edges about the `expected` one.
 
-    A free arc of the outline confuses a shift across its middle with one along the line of sight, which looks like shade
-    and blur. Their joint covariance holds what it does show.
+    A free arc of the outline confuses a shift across its middle with one along the line of sight, which looks like
+    shade and blur. Their joint covariance holds what it does show.
     """
     towards = pose.position - expected
     distance = float(np.linalg.norm(towards))
