@@ -356,7 +356,7 @@ class World:
     def true_counts(self, since: float = -np.inf, until: float = np.inf) -> Array:
         """(3,) counts of the true motion between two stamps."""
         M = matrix(self.film.rig)
-        places = [p for stamp, p in self.shown.items() if since <= stamp <= until]
+        places = [p for stamp, p in tuple(self.shown.items()) if since <= stamp <= until]
         R = self.film.attitude[places]
         turns = [log(b @ a.T) for a, b in pairwise(R)]
         return M @ np.sum(turns, axis=0) if turns else np.zeros(3)

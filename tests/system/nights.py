@@ -54,7 +54,7 @@ class Cabinet(World):
 
         The daemon then reports that no camera sends frames, and leaves that motion out.
         """
-        stamps = sorted(stamp for stamp in self.shown if since <= stamp <= until)
+        stamps = sorted(stamp for stamp in tuple(self.shown) if since <= stamp <= until)
         steps = [super(Cabinet, self).true_counts(a, b) for a, b in pairwise(stamps) if b - a < timing.MAX_FRAME_GAP_S]
         return np.sum([np.zeros(3), *steps], axis=0)
 
