@@ -153,8 +153,8 @@ def _numbered_points(spots: Spots, covariance: Array, block: Block, K: Array, R:
     if number.max(initial=-1) + 1 < MIN_POINTS:
         raise CalibrationError(
             f"{number.max(initial=-1) + 1} discs are seen in two photos or more, at least {MIN_POINTS} are needed: "
-            "take photos that overlap, keep the ball still between them, and see that disc_radius is a radius and no "
-            "diameter"
+            "take sharp photos that overlap, keep the ball still between them, and see that disc_radius is a radius "
+            "and no diameter"
         )
     index, directions, number = index[number >= 0], directions[number >= 0], number[number >= 0]
     middle = np.stack([np.bincount(number, directions[:, j]) for j in range(3)], axis=1)

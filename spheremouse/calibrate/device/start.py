@@ -163,7 +163,7 @@ def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
         photos = "1 photo shows" if len(views.photos) == 1 else "no photo shows"
         raise CalibrationError(
             f"{photos} targets of this device that fit together, at least 2 must"
-            + (f" ({'; '.join(whys[:_MAX_NAMED])}{more})" if whys else ": give more photos")
+            + (f" ({'; '.join(whys[:_MAX_NAMED])}{more}): take sharp, bright ones" if whys else ": give more photos")
         )
     missing = [c for i, c in enumerate(device.codes) if np.count_nonzero(views.image.point == i) < 2]
     if missing and views.strangers:
