@@ -250,6 +250,22 @@ def test_a_colour_is_picked_from_the_picture_by_keys(page, service):
     assert 0 < high - low <= 54
 
 
+def test_a_picked_colour_is_that_on_white_paper(page):
+    """A cyan ring in the light of a bulb: without the paper beside it, its colour counts as green."""
+    found = page.evaluate("""async () => {
+        const [{ Picture }, { hue }] = await Promise.all([import("/static/picture.js"), import("/static/draw.js")]);
+        const canvas = new OffscreenCanvas(320, 240), context = canvas.getContext("2d");
+        for (const [colour, size] of [["rgb(60 60 60)", 400], ["rgb(230 180 90)", 30], ["rgb(40 160 80)", 16]]) {
+            context.fillStyle = colour;
+            context.fillRect(160 - size / 2, 120 - size / 2, size, size);
+        }
+        const picture = new Picture(document.createElement("canvas"), document.createElement("div"));
+        picture.take({ width: 640, height: 480 }, canvas.transferToImageBitmap());
+        return [hue(picture.sample([320, 240])).hue, hue(picture.sampleOnWhite([320, 240])).hue];
+    }""")
+    assert found == [70, 90]
+
+
 def test_the_log_is_filtered(page, service):
     choose(page, "Log")
     lines = page.locator(".log p:visible")

@@ -82,8 +82,8 @@ export class DrawPanel {
     const bars = [];
     for (const { key, element } of targets) {
       const name = key.split(".")[1] ?? "";
-      const take = (/** @type {[number, number, number]} */ rgb) => {
-        const at = hue(rgb).hue;
+      const take = (/** @type {unknown} */ _, /** @type {Point} */ place) => {
+        const at = hue(this.#picture.sampleOnWhite(place) ?? [0, 0, 0]).hue;
         this.#settings.change(key, [Math.max(0, at - HUE_HALF_WIDTH), Math.min(180, at + HUE_HALF_WIDTH)]);
       };
       const pick = this.#picker(`Pick ${name}`, [{ hint: `Click the ${name} ring of a target in the picture.`, take }]);

@@ -10,6 +10,7 @@ import { prepareCanvas, colour, el } from "./dom.js";
 /** @typedef {(context: CanvasRenderingContext2D, view: View) => void} Painter */
 
 const TRAIL = 15; // pictures: a second
+const PAPER_SHARE = 0.1; // of the picture's width, in which a target shows paper, as `rings.py` has it
 const HALO = "rgba(0, 0, 0, .6)"; // keeps a line legible on a bright ball
 /** @type {[name: string, label: string, shown: boolean][]} */
 const LAYERS = [
@@ -57,15 +58,26 @@ export class Picture {
   }
 
   /** Return the mean colour of 5 x 5 px of the picture; null without a picture. @type {(at: Point) => [red: number, green: number, blue: number] | null} */
-  sample([x, y]) {
-    if (!this.#bitmap) return null;
-    const scale = this.#bitmap.width / this.view.width;
-    const context = new OffscreenCanvas(5, 5).getContext("2d");
-    if (!context) return null;
-    context.drawImage(this.#bitmap, 2 - Math.round(x * scale), 2 - Math.round(y * scale));
-    const { data } = context.getImageData(0, 0, 5, 5);
+  sample(at) {
+    const data = this.#pixels(at, 5);
     const mean = (/** @type {number} */ c) => data.reduce((sum, v, i) => (i % 4 === c ? sum + v : sum), 0) / 25;
-    return [mean(0), mean(1), mean(2)];
+    return data.length ? [mean(0), mean(1), mean(2)] : null;
+  }
+
+  /** Return that colour under light that makes paper white, as targets are detected: each channel over its greatest value nearby. @type {(at: Point) => [red: number, green: number, blue: number] | null} */
+  sampleOnWhite(at) {
+    const rgb = this.sample(at), data = this.#pixels(at, Math.round(PAPER_SHARE * (this.#bitmap?.width ?? 0)));
+    const paper = (/** @type {number} */ c) => data.reduce((most, v, i) => (i % 4 === c ? Math.max(most, v) : most), 1);
+    return rgb && [(255 * rgb[0]) / paper(0), (255 * rgb[1]) / paper(1), (255 * rgb[2]) / paper(2)];
+  }
+
+  /** Return the red, green, blue and alpha of a square of `size` px about a place; empty without a picture. @type {(at: Point, size: number) => Uint8ClampedArray} */
+  #pixels([x, y], size) {
+    const context = size > 0 ? new OffscreenCanvas(size, size).getContext("2d") : null;
+    if (!this.#bitmap || !context) return new Uint8ClampedArray();
+    const scale = this.#bitmap.width / this.view.width, half = Math.floor(size / 2);
+    context.drawImage(this.#bitmap, half - Math.round(x * scale), half - Math.round(y * scale));
+    return context.getImageData(0, 0, size, size).data;
   }
 
   draw() {
