@@ -169,7 +169,7 @@ def _centre(fit: _Fit, found: _Edges, rig: Rig, pose: Pose, expected: Array) -> 
     """Return the centre by a fit to the edges about the `expected` one.
 
     A free arc of the outline confuses a shift across its middle with one along the line of sight, which looks like
-    shade and blur. Their joint covariance holds what it does show.
+    shade and blur. The joint covariance of all three keeps the combination that the arc shows well.
     """
     towards = pose.position - expected
     distance = float(np.linalg.norm(towards))

@@ -36,7 +36,8 @@ def with_first_outline(
 
     The first frame of each camera also shows the radius. If that differs from the rig's by more than three standard
     deviations, one of them is wrong: the outline may be that of an opening before the ball. So the filter takes the
-    outline's radius, with a standard deviation as large as the difference. A lost ball has no first frame.
+    outline's radius, with a standard deviation as large as the difference. Then the outline does not show how near the
+    ball is. A lost ball has no first frame.
     """
     if state.status is Status.LOST:
         return state, ()
