@@ -7,7 +7,7 @@ from inspect import isawaitable
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, create_model
+from pydantic import Field
 
 from spheremouse.errors import ConfigurationError, ControlError, printable
 from spheremouse.files.calibration_folder import default_folder
@@ -23,11 +23,17 @@ from spheremouse.view.daemon import DaemonLink, Message, Values
 from spheremouse.view.guide import Guide, GuideStep
 from spheremouse.view.recordings import Recordings
 
-_Keys = create_model("_Keys", __base__=Part, keys=tuple[str, ...])
-_Text = create_model("_Text", __base__=Part, text=str)
 # Requests of the daemon, and the words for a reply without a message.
 _REQUESTS = {"replay": "", "pause": "Paused.", "resume": "Resumed.", "reload": "Configuration read again."}
 _REQUESTS |= dict.fromkeys(("reinit", "record", "snapshot", "profile"), "Done.")
+
+
+class _Keys(Part):
+    keys: tuple[str, ...]
+
+
+class _Text(Part):
+    text: str
 
 
 class _Name(Part):
