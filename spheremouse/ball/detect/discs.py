@@ -279,7 +279,9 @@ def unmasked(mask: Image, masks: Iterable[tuple[float, ...]]) -> Image:
 
 
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object = None) -> DiscDetector:
-    """Prepare the detector for one camera pose. Raises ConfigurationError if the masks hide the whole ball.
+    """Prepare the detector for one camera pose.
+
+    Raises ConfigurationError if the masks hide the whole ball, or if a disc is too large for the picture.
 
     The choice of the pixels to sample takes 20 ms. If `before` is a detector with equal masks and the same rig and pose
     objects, only its settings are replaced.
@@ -311,6 +313,11 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose, before: object =
         slice(int(rows[0]) // f * f, min((int(rows[-1]) // f + 1) * f, height // f * f)),
         slice(int(columns[0]) // f * f, min((int(columns[-1]) // f + 1) * f, width // f * f)),
     )
+    if any(part.start >= part.stop for part in window):
+        raise ConfigurationError(
+            f"rig: disc_radius: a disc is {diameter:.0f} px wide, too large for the part of the ball in the picture",
+            "check disc_radius, the camera's focal lengths, and the positions",
+        )
     model = DiscModel(view_of(rig, pose), mask, float(rig.exposure_s), fit, settings.min_area, diameter)
     coarse = cv2.erode(mask, np.ones((2 * f - 1, 2 * f - 1), np.uint8))[window][f // 2 :: f, f // 2 :: f]
     thin = _thin(rig, pose, diameter, f)

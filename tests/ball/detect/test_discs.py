@@ -173,6 +173,14 @@ def test_what_the_user_masks_is_not_looked_at(corners):
         disc_detector(replace(SETTINGS, masks=((0.0, 0.0, 640.0, 480.0),)), RIG, POSE)
 
 
+def test_a_disc_larger_than_the_picture_is_refused():
+    """As by a focal length with a digit too many, or a disc_radius in millimetres. No window is left to search."""
+    camera = replace(RIG.camera, fx=1e6)
+    with pytest.raises(ConfigurationError, match=r"a disc is \d+ px wide, too large for .*; check disc_radius") as e:
+        disc_detector(DiscSettings(), replace(RIG, camera=camera), POSE)
+    assert "\n" not in str(e.value)
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"polarity": "light"}, {"contrast": 0.6, "rim": 0.9, "sigma": 0.1}, {"min_area": 150.0, "smoothing": 1.2},
