@@ -72,19 +72,25 @@ double vertex(float before, float greatest, float after) {
     return bend > 0.0f ? 0.5 * double(after - before) / double(bend) : 0.0;
 }
 
-/// Return the place of an edge on a line of so many samples, from the sample at which long means differ most.
-///
-/// An edge beside it mixes into long means and pulls it. So short ones place it (edge focusing: Bergholm 1987).
-double place_of_edge(const Line& line, int found, int samples) {
-    double place = found;
-    float steepest = 0.0f;
-    for (int j = std::max(found - SLOPE, FINE + 1); j <= std::min(found + SLOPE, samples - FINE - 1); j++) {
-        const float before = line.slope(j - 1, FINE), here = line.slope(j, FINE), after = line.slope(j + 1, FINE);
-        if (!(std::min(before, after) >= 0.0f && here >= std::max(before, after) && here > steepest)) continue;
-        steepest = here;
-        place = j + vertex(before, here, after);
+/// An edge on a line.
+struct Edge {
+    int sample = 0;  // at which the means differ most
+    double place = 0.0;
+    float slope = 0.0f;  // 0: there is no edge
+};
+
+/// Return the steepest edge between the samples `first` and `last` by so many means, and write the slopes there.
+Edge steepest(const Line& line, int first, int last, int means, std::vector<float>& slope) {
+    slope.clear();
+    for (int j = first; j <= last; j++) slope.push_back(line.slope(size_t(j), means));
+    Edge edge;
+    for (size_t j = 1; j + 1 < slope.size(); j++) {
+        const float before = slope[j - 1], here = slope[j], after = slope[j + 1];
+        if (!(std::min(before, after) >= 0.0f && here >= std::max(before, after) && here > edge.slope)) continue;
+        const int sample = first + int(j);
+        edge = {sample, sample + vertex(before, here, after), here};
     }
-    return place;
+    return edge;
 }
 
 std::tuple<NewArray<double>, NewArray<double>, double> outline_slopes(nb::handle image_, nb::handle starts,
@@ -95,27 +101,27 @@ std::tuple<NewArray<double>, NewArray<double>, double> outline_slopes(nb::handle
     if (step.rows() != from.rows()) throw nb::type_error("steps: must be an array with the length of starts");
     if (image.size() == 0 || image.shape(2) > 4) throw nb::type_error("image: must be an array with 1 to 4 channels");
     if (samples < 2 * SLOPE || samples > 100000) throw nb::type_error("samples: must be a number from 16 to 100000");
-    const size_t n = size_t(from.rows()), places = samples - 2 * SLOPE + 1;
+    const size_t n = size_t(from.rows());
+    const int end = int(samples);
     Vector<Dynamic> strongest = Vector<Dynamic>::Zero(from.rows());
     Vector<Dynamic> where = Vector<Dynamic>::Zero(from.rows());
     std::vector<float> all;
     {
         const nb::gil_scoped_release unlocked;
-        all.reserve(n * places);
+        all.reserve(n * (samples - 2 * SLOPE + 1));
         Line line(samples, image.shape(2));
-        std::vector<float> slope(places);
+        std::vector<float> slope;
         for (size_t i = 0; i < n; i++) {
             line.read(image, from.row(i), step.row(i));
-            for (size_t j = 0; j < places; j++) slope[j] = line.slope(SLOPE + j);
+            const Edge found = steepest(line, SLOPE, end - SLOPE, SLOPE, slope);
             std::copy_if(slope.begin(), slope.end(), std::back_inserter(all), [](float s) { return s >= 0.0f; });
-            int found = -1;
-            for (size_t j = 1; j + 1 < places; j++) {
-                const float least = std::min(slope[j - 1], slope[j + 1]), most = std::max(slope[j - 1], slope[j + 1]);
-                if (!(least >= 0.0f && slope[j] >= most && slope[j] > strongest(i))) continue;
-                strongest(i) = slope[j];
-                found = int(SLOPE + j);
-            }
-            if (found >= 0) where(i) = place_of_edge(line, found, int(samples));
+            if (found.slope == 0.0f) continue;
+            // Another edge nearby mixes into long means and pulls this one. Short ones place it (Bergholm 1987).
+            const int first = std::max(found.sample - SLOPE - 1, FINE);
+            const int last = std::min(found.sample + SLOPE + 1, end - FINE);
+            const Edge placed = steepest(line, first, last, FINE, slope);
+            strongest(i) = found.slope;
+            where(i) = placed.slope > 0.0f ? placed.place : found.sample;
         }
         const auto middle = all.begin() + ptrdiff_t(all.size() / 2);
         std::nth_element(all.begin(), middle, all.end());
