@@ -116,8 +116,8 @@ def build(rig: Rig, pose: Pose, settings: Settings, before: Tracker | None = Non
 
     If the detector of `before` is of the same device, pose and settings, it is used again. So is the size of the ball
     that an outline has shown to a tracker of the same device.
-    Raises ConfigurationError if the ball has no discs, and PoseError if the camera cannot see the ball: it is inside
-    the ball, the ball is not in front of it, or the ball is outside the image.
+    Raises ConfigurationError if the ball has no discs, or larger ones than the image shows. Raises PoseError if the
+    camera cannot see the ball: it is inside the ball, the ball is not in front of it, or the ball is outside the image.
     """
     check_discs(rig, settings)
     check_view(rig, pose)
