@@ -62,16 +62,11 @@ class Ring:
     inner: float  # m
     outer: float  # m
     colour: Colour
-    _outline: Array = field(init=False, repr=False)  # (32, 3) m, a little outside
-
-    def __post_init__(self) -> None:
-        a = unit(np.cross(self.across, (0.3, 0.9, 0.2)))
-        around = self.centre + 1.01 * self.outer * circle(32) @ np.array([a, np.cross(self.across, a)])
-        object.__setattr__(self, "_outline", around)
 
     def outline(self) -> Array:
-        """Points around it, (32, 3)."""
-        return self._outline
+        """Points around it and a little outside, (32, 3) m."""
+        a = unit(np.cross(self.across, (0.3, 0.9, 0.2)))
+        return self.centre + 1.01 * self.outer * circle(32) @ np.array([a, np.cross(self.across, a)])
 
     def normal(self, _: Array | None = None) -> Array:
         """Return the unit vector across, (3,), for any point."""

@@ -50,10 +50,6 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
     `named` returns the name of a field in its source, for example its command-line option.
     """
     _check(options, named)
-    if options.seconds is not None:
-        _check_length(options.seconds, options.fps, named("seconds"))
-    elif options.motion == "roll":
-        _check_length(TURN_SECONDS * options.turns, options.fps, named("turns"))
     profile = profile_of(options)
     seconds = profile.seconds if options.seconds is None else options.seconds
     for field in ("bump", "lift", "cover", "dim_at", "disc_off", "disc_moved"):
@@ -153,20 +149,20 @@ def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: 
     return tuple(changes)
 
 
-def _check_length(seconds: float, fps: float, name: str) -> None:
-    if seconds * fps > MAX_FRAMES + 0.5:
-        raise ConfigurationError(
-            f"{name}: {seconds:g} s at {fps:g} Hz are {seconds * fps:.7g} frames; "
-            f"at most {MAX_FRAMES} make a recording, {MAX_FRAMES / fps:.6g} s at that rate"
-        )
-
-
 def _check(options: SimulationOptions, named: Named) -> None:
     """Raise ConfigurationError if an option is out of bounds or contradicts another."""
     check_bounds(options, named)
+    fps, name, seconds = options.fps, "seconds", options.seconds
+    if seconds is None:  # of all motions only a roll may be too long
+        name, seconds = "turns", TURN_SECONDS * options.turns * (options.motion == "roll")
+    if seconds * fps > MAX_FRAMES + 0.5:
+        raise ConfigurationError(
+            f"{named(name)}: {seconds:g} s at {fps:g} Hz are {seconds * fps:.7g} frames; "
+            f"at most {MAX_FRAMES} make a recording, {MAX_FRAMES / fps:.6g} s at that rate"
+        )
     for name, value in (("blur", options.blur), ("readout", options.readout)):
-        if value > 1.0 / options.fps:
-            raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {options.fps:g} Hz")
+        if value > 1.0 / fps:
+            raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {fps:g} Hz")
     if options.dim_at is not None and options.dim is None:
         raise ConfigurationError(f"{named('dim_at')}: needs {named('dim')}, the factor")
     for name in ("disc_off", "disc_moved"):

@@ -4,7 +4,8 @@ Smooth fields are sums of plane waves in space, seen on the sphere. Dots and str
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +25,19 @@ _STRIPES = np.float32(18.0)  # between the poles there are half as many
 _DOTS_AT_A_POINT = 6  # at most, of 0.6 on average
 
 
-@dataclass(frozen=True, slots=True)
-class Pattern:
+class Pattern(NamedTuple):
     """Paint of a ball; an albedo of 0 looks like a disc, 1 like the bare ball."""
 
     name: PatternName
     seed: int
-    _albedo: Albedo = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_albedo", _albedo_of(self.name, np.random.default_rng([self.seed, 3])))
 
     def albedo(self, directions: NDArray[np.floating]) -> Single:
         """Return the albedo, (n,) in 0..1, in `directions`, (n, 3) unit vectors in `ball`."""
-        single = directions.astype(np.float32, copy=False)
+        single, albedo = directions.astype(np.float32, copy=False), _albedo_of(*self)
         result = np.empty(len(single), dtype=np.float32)
         for start in range(0, len(single), _CHUNK_DIRECTIONS):
-            result[start : start + _CHUNK_DIRECTIONS] = self._albedo(single[start : start + _CHUNK_DIRECTIONS])
+            part = slice(start, start + _CHUNK_DIRECTIONS)
+            result[part] = albedo(single[part])
         return result
 
 
@@ -113,8 +110,10 @@ def _anywhere(rng: np.random.Generator, n: int) -> Array:
     return u / np.linalg.norm(u, axis=1, keepdims=True)
 
 
-def _albedo_of(name: PatternName, rng: np.random.Generator) -> Albedo:
+@cache
+def _albedo_of(name: PatternName, seed: int) -> Albedo:
     """Return the albedo of a pattern as a function of directions, (n, 3)."""
+    rng = np.random.default_rng([seed, 3])
     if name == "patches":
         field, steepness = _waves(rng, 12.0, 90.0, 1.4)
         return lambda d: 1.0 - 0.9 * _inside((field(d) - 0.5) / steepness)

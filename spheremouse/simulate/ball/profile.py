@@ -50,6 +50,11 @@ class Gesture:
     ramp: float = 0.5  # share of the length spent speeding up, and slowing down at the end
     coast: float = 0.0  # 0: as slow to stop as to start; towards 1: quickly started, slowly spent; -1: the reverse
 
+    @property
+    def end(self) -> float:
+        """s."""
+        return self.start + self.length
+
     def turned(self, t: Array) -> tuple[Array, Array]:
         """Angle turned so far, rad, and its derivative, rad/s, at times (n,) s.
 
@@ -72,7 +77,7 @@ class Swing:
     axis: tuple[float, float, float]  # unit vector, obj
     angle_at: CubicHermiteSpline  # rad
     start: ClassVar[float] = -inf
-    length: ClassVar[float] = inf
+    end: ClassVar[float] = inf
     angle: ClassVar[float] = 0.0
 
     def turned(self, t: Array) -> tuple[Array, Array]:
@@ -106,7 +111,7 @@ class Gestures:
         t = np.asarray(t, dtype=float)
         first, last = (float(t.min()), float(t.max())) if len(t) else (0.0, 0.0)
         done = 0
-        while done < len(self.gestures) and self.gestures[done].start + self.gestures[done].length <= first:
+        while done < len(self.gestures) and self.gestures[done].end <= first:
             done += 1
         R = np.broadcast_to(self._before[done], (len(t), 3, 3))
         w = np.zeros((len(t), 3))
@@ -168,24 +173,24 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
 def rest(seconds: float = 60.0) -> Gestures:
     """The ball is shown from all sides for 8 s, then lies still for `seconds`."""
     shown = _initial_turns()
-    return Gestures(tuple(shown), _end(shown) + seconds)
+    return Gestures(tuple(shown), shown[-1].end + seconds)
 
 
 def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
     """The ball is shown for 8 s and rests for 2 s. Then it turns by `rate` (rad/s) times `seconds` in 1 s more."""
     shown = _initial_turns()
-    slow = stroke(_end(shown) + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
-    return Gestures((*shown, slow), slow.start + slow.length + 2.0)
+    slow = stroke(shown[-1].end + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
+    return Gestures((*shown, slow), slow.end + 2.0)
 
 
 def flick(rate: float = np.radians(400.0), stop: float = 0.05) -> Gestures:
     """The ball is shown for 8 s, then flicked at `rate` (rad/s) about four axes, stopped within `stop` s, and back."""
     gestures = _initial_turns()
-    t = _end(gestures) + 0.5
+    t = gestures[-1].end + 0.5
     for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.3, -1.0)):
         for sign in (1.0, -1.0):
             gestures.append(stroke(t, axis, sign * rate, up=0.12, hold=0.25, down=stop))
-            t = _end(gestures)
+            t = gestures[-1].end
         t += 1.0
     return Gestures(tuple(gestures), t)
 
@@ -213,11 +218,6 @@ def shown_to_axes() -> Gestures:
     """Gestures for `spheremouse axes` from the far side: 60° to the right, away, and counter-clockwise from above."""
     ways = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     return Gestures(tuple(Gesture(1.5 + 3.0 * k, 1.5, way, np.pi / 3.0) for k, way in enumerate(ways)), 10.5)
-
-
-def _end(gestures: list[Gesture]) -> float:
-    """Return the end of the last gesture, s."""
-    return gestures[-1].start + gestures[-1].length
 
 
 def play(seconds: float, rng: np.random.Generator) -> Gestures:
