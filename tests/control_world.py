@@ -1,15 +1,17 @@
 """The daemon of docs/control.md and a raw connection, for the tests of socket, commands and metrics."""
 
+import contextlib
 import json
 import os
 import socket
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import protocol
-from spheremouse.session.control.protocol import Request
 
 PAGE = Path(__file__).parents[1] / "docs" / "control.md"
 GENEROUS = 20.0  # s, for what takes milliseconds
@@ -77,72 +79,50 @@ def conversations():
     return found
 
 
-def page_reply(command):
-    """The page's reply to a request without arguments."""
-    return next(r[0] for c in conversations() for q, r in c if q == f'{{"command": "{command}"}}')
+def reply_to(asked):
+    """The page's reply to a request, as JSON or as the daemon gets it, without `ok` and `id`."""
+    request = protocol.parse(json.dumps(asked).encode()) if isinstance(asked, dict) else asked
+    return deepcopy(_replies()[request.model_copy(update={"id": None})])
+
+
+@cache
+def _replies():
+    found = {}
+    for line, replies in (exchange for conversation in conversations() for exchange in conversation):
+        with contextlib.suppress(protocol.BadRequestError):
+            request = protocol.parse(line.encode()).model_copy(update={"id": None})
+            found[request] = {key: value for key, value in replies[0].items() if key not in ("ok", "id")}
+    return found
 
 
 def a_status(**change):
     """The page's status with some values changed."""
-    return {key: value for key, value in page_reply("status").items() if key != "ok"} | change
+    return reply_to({"command": "status"}) | change
 
 
 class Daemon:
-    """Answers as a daemon in the situations of the page would."""
+    """Gives the page's replies, and those to any `set` and `save`."""
 
     def __init__(self):
         self.paused = False
-        self.status = page_reply("status")
+        self.status = a_status()
 
     def __call__(self, pending):
-        request, reply = pending.request, pending.answer
-        folder = "/var/lib/spheremouse/recordings/"
-        match request:
-            case protocol.Set(assignments=what):
-                names = sorted({a.partition(".")[0] for a in what})
-                values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
-                told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
-                words = f"configuration applied: {told}"
-                reply({"changed": names, "values": values, "message": words})
-            case protocol.Profile(name=None):
-                reply({"profiles": {"doom": ["motion.scale_x=2"], "menu": ["motion.scale_x=1"]}})
-            case protocol.Profile(name=name):
-                words = "configuration applied: motion.scale_x 1.0 → 2.0"
-                reply({"changed": ["motion"], "values": {"motion.scale_x": [1.0, 2.0]}, "message": words})
-            case protocol.Record(stop=True):
-                words = f"{folder}bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked"
-                reply({"folder": folder + "bug-1", "frames": 512, "message": words})
-            case protocol.Record(seconds=60.0, folder=name, everything=False):
-                words = f"{folder}{name}: recording the ball and the targets, 60 s at most"
-                reply({"folder": f"{folder}{name}", "seconds": 60.0, "message": words})
-            case protocol.Snapshot(file=None):
-                raise ControlError("a snapshot is being written already; ask again when it is done")
-            case protocol.Snapshot(file=name):
-                reply({"file": f"{folder}{name}"})
-            case Request(command="status"):
-                reply(
-                    {"state": "paused", "reason": "by `spheremouse ctl pause`; `resume` ends it"}
-                    if self.paused
-                    else self.status
-                )
-            case Request(command="pause"):
-                self.paused = True
-                reply({"state": "paused"})
-            case Request(command="resume"):
-                self.paused = False
-                reply({"state": "tracking"})
-            case Request(command="settings" | "scene" | "save"):
-                reply(page_reply(request.command))
-            case protocol.Replay():
-                reply({})
-            case Request(command="picture"):
-                reply(page_reply("picture") | {"pixels": b"12345678"})
-            case Request(command="stop"):
-                reply({})
-            case Request(command="reinit"):
-                raise ControlError("no picture from the camera; plug it in")
-            case Request(command="reload"):
-                where = "/etc/spheremouse/config.yaml:3: motion.scale_x"
-                raise ControlError(f"{where}: must be a number, is 'two'; the default is 1.0")
-            case _:
-                raise AssertionError(request)
+        request = pending.request
+        if request.command in ("pause", "resume"):
+            self.paused = request.command == "pause"
+        if isinstance(request, protocol.Set):
+            values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in request.assignments)}
+            told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
+            names = sorted({key.partition(".")[0] for key in values})
+            reply = {"changed": names, "values": values, "message": f"configuration applied: {told}"}
+        elif isinstance(request, protocol.Save):
+            reply = reply_to({"command": "save"})
+        elif request.command == "status":
+            reason = "by `spheremouse ctl pause`; `resume` ends it"
+            reply = {"state": "paused", "reason": reason} if self.paused else self.status
+        else:
+            reply = reply_to(request)
+        if "error" in reply:
+            raise ControlError(reply["error"])
+        pending.answer(reply | ({"pixels": bytes(reply["bytes"])} if "bytes" in reply else {}))

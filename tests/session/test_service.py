@@ -13,7 +13,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from control_world import conversations, page_reply
+from control_world import conversations, reply_to
 from daemon_world import CLOSE, DT
 
 from spheremouse.files.rig import rig_text
@@ -59,7 +59,7 @@ def test_what_is_answered_has_the_keys_that_the_page_shows(unstarted):
             reply = client.ask(command.removesuffix("True"), **arguments)
         assert set(reply) - {"ok", "id"} == shown[command], (command, reply)
         parts = {"scene": ["camera"], "settings": ["settings", 0]}.get(command, [])
-        page = page_reply(command) if parts else {}
+        page = reply_to({"command": command}) if parts else {}
         for part in parts:
             reply, page = reply[part], page[part]
         assert reply.keys() >= page.keys()
