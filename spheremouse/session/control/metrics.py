@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any
 
 from spheremouse.errors import ControlError
@@ -36,18 +37,15 @@ def serve_metrics(port: int, address: str, status: Callable[[], StatusReport]) -
 class _Collector:
     def __init__(self, status: Callable[[], StatusReport]) -> None:
         self._status = status
-        self._started: float | None = None
 
-    def describe(self) -> list[Any]:
-        """Return nothing: the registry would otherwise collect before there is a status."""
-        return []
+    @cached_property
+    def _started(self) -> float:
+        """Start time, s since 1970, computed once: one that varies looks like a restart."""
+        return time.time() - self._status().uptime_s
 
     def collect(self) -> Iterator[Any]:
-        """Yield the metrics of the present status."""
-        status = self._status()
-        if self._started is None:  # computed once: a start time that varies looks like a restart
-            self._started = time.time() - status.uptime_s
-        yield from families(status, self._started)
+        """Return the metrics of the present status."""
+        return families(self._status(), self._started)
 
 
 def families(status: StatusReport, started: float) -> Iterator[Any]:
