@@ -265,7 +265,9 @@ def test_hand_and_card_come_and_go():
     ("change", "words"),
     [
         ({"fps": 0.0}, "--fps: 0 must be above 0"),
-        ({"seconds": 1e6}, "--seconds: 1e+06 s from 0 s on; this motion ends"),
+        ({"seconds": 3000.0}, "--seconds: 3000 s from 0 s on; this motion ends"),
+        ({"motion": "hand", "seconds": 1e6}, "--seconds: 1e+06 must be at most 3600"),
+        ({"motion": "hand", "begin": 1e6}, "--begin: 1e+06 must be at most 3600"),
         ({"balls": 4}, "--balls: 4 must be at most 3"),
         ({"vary": 0.9}, "--vary: 0.9 must be at most 0.5"),
         ({"fps": 30.0, "blur": 0.05}, "--blur: 0.05 s is longer than a frame at 30 Hz"),

@@ -8,6 +8,8 @@ from spheremouse.settings import param
 Motion = Literal["drive", "hand"]
 Light = Literal["indoor", "outdoor"]
 
+_HOUR = 3600.0  # s; to scale a hand's motion takes memory and time in proportion to its length
+
 
 @dataclass(frozen=True, slots=True)
 class WandOptions:
@@ -16,8 +18,8 @@ class WandOptions:
     motion: Motion = param("drive", "-", "drive: on a robot, as in Grzonka 2005; hand: on a stick.")
     seed: int = param(0, "-", "Of path, room, paints and noise.", ge=0)
     fps: float | None = param(None, "Hz", "Frames per second.  [default: 0.8 of a drive, 15 of a hand]", gt=0)
-    seconds: float | None = param(None, "s", "Length in s.  [default: the whole drive, 20 s of a hand]", gt=0)
-    begin: float = param(0.0, "s", "Time of the motion at which the film begins.", ge=0)
+    seconds: float | None = param(None, "s", "Length in s.  [default: the whole drive, 20 s of a hand]", gt=0, le=_HOUR)
+    begin: float = param(0.0, "s", "Time of the motion at which the film begins.", ge=0, le=_HOUR)
     speed: float | None = param(
         None, "m/s", "Largest speed; a drive turns in proportion.  [default: 0.035, 0.4 of a hand]", gt=0
     )
