@@ -61,7 +61,12 @@ def test_the_public_names():
 
 @pytest.mark.parametrize(
     ("module", "packages"),
-    [("spheremouse", ("numpy", "cv2", "scipy")), ("spheremouse.output", ("cv2", "scipy")), (CONNECT, ("cv2", "scipy"))],
+    [
+        ("spheremouse", ("numpy", "cv2", "scipy")),
+        ("spheremouse.output", ("cv2", "scipy")),
+        (CONNECT, ("cv2", "scipy")),
+        ("spheremouse.session.control.client", ("numpy", "cv2", "scipy")),  # a page or tray then needs little memory
+    ],
 )
 def test_the_import_alone_loads_no_other_package(module, packages):
     code = f"import sys, {module}; print([m for m in {packages} if m in sys.modules])"

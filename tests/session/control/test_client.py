@@ -4,8 +4,6 @@ import contextlib
 import json
 import math
 import socket
-import subprocess
-import sys
 import threading
 from enum import StrEnum
 from pathlib import Path
@@ -97,16 +95,6 @@ def test_what_is_no_picture_is_refused(stranger, wrong):
     said = json.dumps(PICTURE | {"ok": True, "bytes": 3} | wrong).encode() + b"\nabc"
     with stranger(said) as client, pytest.raises(NoDaemonError, match="the answer is no picture"):
         client.picture()
-
-
-def test_the_modules_of_a_client_load_no_kernels():
-    """A page or tray then needs a tenth of the tracker's memory."""
-    code = """import sys
-from spheremouse.session.control import client, protocol, socket_file, status
-from spheremouse.files import plain_json
-print(*sorted({"scipy", "cv2", "numpy"} & set(sys.modules)))"""
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.strip() == ""
 
 
 @pytest.mark.parametrize(
