@@ -107,11 +107,19 @@ def _shows(scene: Scene) -> bool:
     toward = unit(scene.pose.position)
     side = unit(np.cross(toward, (0.2, 1.0, 0.1)))
     limb = scene.ball_radius * circle(24) @ np.array([side, np.cross(toward, side)])
-    return bool(np.all(_in_picture(scene.pose.to_cam(limb), scene.camera)) and np.sum(seen_targets(scene)) >= 3)
+    whole = np.all(_in_picture(scene.pose.to_cam(limb), scene.camera)) and np.sum(_legible_targets(scene)[0]) >= 3
+    return bool(whole and np.sum(seen_targets(scene)) >= 3)  # rays take most of the time
 
 
 def seen_targets(scene: Scene) -> NDArray[np.bool_]:
     """Return True, (n,), for targets that are whole, that nothing hides and that have rings wide enough."""
+    legible, cam = _legible_targets(scene)
+    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
+    return legible & np.all(depth > cam[..., 2] - 1e-3, axis=1)
+
+
+def _legible_targets(scene: Scene) -> tuple[NDArray[np.bool_], Array]:
+    """Return `seen_targets` if nothing hides one, and points of their rims, (n, 16, 3) m in `cam`."""
     targets = scene.targets
     rim = 0.98 * targets.radii[2] * np.column_stack([circle(16), np.zeros(16)])
     cam = scene.pose.to_cam(targets.position[:, None] + rim)
@@ -119,8 +127,7 @@ def seen_targets(scene: Scene) -> NDArray[np.bool_]:
     to_camera = scene.pose.position - targets.position
     distance = np.linalg.norm(to_camera, axis=1)
     width = np.min(np.diff(targets.radii, prepend=0.0)) * scene.camera.fx / distance * to_camera[:, 2] / distance
-    _, depth = scene.viewpoint().cast(cam[..., :2] / cam[..., 2:])
-    return inside & (width > _MIN_RING_PX) & np.all(depth > cam[..., 2] - 1e-3, axis=1)
+    return inside & (width > _MIN_RING_PX), cam
 
 
 def _in_picture(points: Array, camera: InteriorOrientation) -> NDArray[np.bool_]:
