@@ -16,6 +16,7 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracking
 from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
 from spheremouse.evaluation.metrics import attitude_error
+from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
@@ -99,6 +100,24 @@ def test_hands_at_first_do_not_decide(pair):
     true = [m.attitude for m in frames[45:]]
     turned = [a @ after[0].T @ (t @ true[0].T).T for a, t in zip(after, true, strict=True)]
     assert max(np.arccos(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)) for R in turned) < np.radians(0.3)
+
+
+def test_a_cover_of_other_colours_turns_no_ball_that_rests():
+    """A dark sheet with white spots slides before black discs. Its colours are found, and later the discs again."""
+    sim, (first, *_) = film("white-black", seconds=0.1)
+    spots, frames = np.random.default_rng(4).uniform((180, 120), (440, 360), (20, 2)), []
+    for k in range(90):
+        image = first.frame.image.copy()
+        if 8 <= k < 60:
+            cv2.circle(image, (320, 240), 185, DARK, -1)
+            for x, y in spots + 30.0 * np.sin(0.1 * k):
+                cv2.circle(image, (int(x), int(y)), 6, WHITE, -1, cv2.LINE_AA)
+        frames.append(replace(first, frame=replace(first.frame, image=image, stamp=k / 30.0, sequence=k)))
+    states, events, *_ = run(sim, frames)
+    assert [e.weights for e in events if isinstance(e, DiscColours)] == [NEGATIVE.weights, GREY.weights]
+    assert max(np.linalg.norm(log(s.reported_attitude)) for s in states) < np.radians(0.1)
+    assert states[-1].status is Status.TRACKING
+    assert len(states[-1].filter.used) >= 3
 
 
 def test_a_trial_tries_one_projection_in_a_frame_of_a_tracked_ball():

@@ -8,6 +8,8 @@ twice the time.
 
 from typing import Any
 
+import numpy as np
+
 from spheremouse.ball.detect.choose_projection import best_projection, projections_to_try
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import colour_contrast
@@ -40,7 +42,8 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
 def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     """Return the state after a trial of all projections, if one is due: one on each frame while the ball is tracked.
 
-    If another projection shows the discs better, the search and an unfinished phase start again with it.
+    If another projection shows the discs better, the search and an unfinished phase start again with it. A lost ball
+    keeps its map, since a cover may have these colours. The discs in them get a new map once they turn like a ball.
     """
     before, image = state.colours, frame.image
     if not is_trial_due(state, frame.stamp):
@@ -60,7 +63,7 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     colours = before._replace(projection=projection, tried=frame.stamp, wait=_FIRST_WAIT_S, tried_now=(), refined=False)
     state = state._replace(colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
     if not isinstance(state.phase, Learning):
-        return state
+        return state._replace(supported_at=-np.inf)
     start = tracker.filter.initial(frame.stamp, state.filter.attitude).with_reference_of(state.filter)
     return state._replace(filter=start, alternatives=())
 
@@ -87,8 +90,8 @@ def _in_other_colours(phase: Phase) -> Phase:
     match phase:
         case Learning(found):
             return Learning(found)
-        case Lost(Learning()):
-            return Learning()
+        case Lost(Learning(found)):
+            return phase._replace(last=Learning(found), in_view_since=-np.inf, trial=None)  # the next begins at once
         case Recognising():
             return Recognising()
         case _:
