@@ -119,11 +119,11 @@ class Lighting:
         for strip in self.strips:
             with np.errstate(divide="ignore", invalid="ignore"):
                 s = (strip.z - points[:, 2]) / to_lamp[:, 2]
-                in_between = (s > 0.005) & (s < 1.0)
-                at = points[:, :2] + np.where(in_between, s, 0.0)[:, None] * to_lamp[:, :2]
+            in_between = (s > 0.005) & (s < 1.0)
+            s = np.where(in_between, s, 0.5)
+            at = points[:, :2] + s[:, None] * to_lamp[:, :2]
             x = np.minimum(at[:, 0] - strip.x[0], strip.x[1] - at[:, 0])
             y = np.minimum(at[:, 1] - strip.y[0], strip.y[1] - at[:, 1])
-            s = np.where(in_between, s, 0.5)
             soft = 0.004 + 0.35 * s / (1.0 - s)
             half = 0.5 * (strip.x[1] - strip.x[0])
             dark = np.minimum(1.0, half / soft)  # a strut narrower than the half shadow never hides the whole lamp

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from spheremouse.errors import ControlError, SpheremouseError, one_line
+from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files.config import key_of
 from spheremouse.output import Report
 from spheremouse.output.lines import json_lines
@@ -155,7 +155,7 @@ class ControlServer:
         except (OSError, asyncio.CancelledError):  # asyncio logs a task that ends cancelled
             pass
         except Exception as e:
-            self._log(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
+            self._log(f"control: a client dropped: {internal_error(e)}")
         finally:
             del self._clients[task]
             self._subscribe(client, wanted=False)

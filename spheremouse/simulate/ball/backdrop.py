@@ -51,21 +51,19 @@ def grey_values(scene: Scene, view: Viewpoint, surfaces: Surfaces, points: Array
     index, eye = surfaces // PARTS - 1, view.pose.position
     ball, room = np.flatnonzero(index == 0), np.flatnonzero(index > 0)
     out = np.zeros((len(points), 7), dtype=np.float32)
-    if len(ball):
-        at = points[ball]
-        at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
-        light, gloss = scene.lighting.on_ball(at), scene.lighting.gloss(at, eye)
-        shades = (develop(np.array(colour) * light + gloss) for colour in (scene.ball_colour, scene.disc_colour))
-        out[ball] = np.column_stack([*shades, np.ones(len(ball))])
-    if len(room):
-        at, index = points[room], index[room]
-        normals = np.empty_like(at)  # on either side
-        for i in np.unique(index):
-            normals[index == i] = view.shapes[i].normal(at[index == i])
-        normals *= np.where(np.sum(normals * (eye - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
-        tone = _TONES[surfaces[room] % PARTS]
-        grey = develop(view.colours[index] * tone[:, None] * scene.lighting.on_room(at, normals))
-        out[room, :3] = out[room, 3:6] = grey
+    at = points[ball]
+    at *= scene.ball_radius / np.linalg.norm(at, axis=1, keepdims=True)
+    light, gloss = scene.lighting.on_ball(at), scene.lighting.gloss(at, eye)
+    shades = (develop(np.array(colour) * light + gloss) for colour in (scene.ball_colour, scene.disc_colour))
+    out[ball] = np.column_stack([*shades, np.ones(len(ball))])
+    at, index = points[room], index[room]
+    normals = np.empty_like(at)  # on either side
+    for i in np.unique(index):
+        normals[index == i] = view.shapes[i].normal(at[index == i])
+    normals *= np.where(np.sum(normals * (eye - at), axis=1) < 0.0, -1.0, 1.0)[:, None]
+    tone = _TONES[surfaces[room] % PARTS]
+    grey = develop(view.colours[index] * tone[:, None] * scene.lighting.on_room(at, normals))
+    out[room, :3] = out[room, 3:6] = grey
     return out
 
 

@@ -285,7 +285,7 @@ def spread_directions(n: int, apart: float, rng: np.random.Generator) -> Array:
     for step in range(400):
         offset = u[:, None] - u[None]
         distance = np.linalg.norm(offset, axis=2) + np.eye(n)
-        nearest = np.min(distance + 10.0 * np.eye(n)) if n > 1 else np.inf
+        nearest = np.min(distance + 10.0 * np.eye(n))
         if step >= 12 and nearest > 2.0 * np.sin(0.5 * max(apart, 0.55 * spacing)):
             break
         push = np.sum(offset / distance[..., None] ** 3, axis=1)
@@ -293,7 +293,6 @@ def spread_directions(n: int, apart: float, rng: np.random.Generator) -> Array:
         length = np.linalg.norm(push, axis=1, keepdims=True)
         u += push * np.minimum(0.02 * spacing**3, 0.1 * spacing / np.maximum(length, 1e-12))
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-    cosine = u @ u.T - 2.0 * np.eye(n)
-    if n > 1 and np.max(cosine) > np.cos(apart):
+    if np.max(u @ u.T - 2.0 * np.eye(n)) > np.cos(apart):
         raise ValueError(f"{n} discs do not fit on the ball")
     return u

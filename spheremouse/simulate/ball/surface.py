@@ -68,6 +68,7 @@ class Surface:
         self._set_centre(np.zeros(3))
         outline = sphere_outline(pose.to_cam(np.zeros(3)), scene.ball_radius + reach, camera, 360)
         self._window = window(outline, _TESTED_MARGIN_PX, camera)
+        self._pixel_index = np.arange(camera.height * camera.width).reshape(camera.height, -1)[self._window.slices]
         uv = self._window.pixels()
         xy, dxy_duv = unproject(uv, camera)
         turn = pose.rotation[:, :2]
@@ -91,19 +92,12 @@ class Surface:
         focal = max(scene.camera.fx, scene.camera.fy)
         self._pixel = float((distance - scene.ball_radius) / scene.ball_radius / focal)  # rad, square to the ray
 
-    def _row_time(self, v: Array) -> Array:
-        """Return the time, s, when image rows `v` (px, any shape) are exposed, relative to the middle row."""
-        return row_of(v, self.scene.camera.height) * self.scene.readout_s
-
     def row_times(self, t: float) -> Array:
         """Return the times, (1 or h,) s, when the rows of a frame at `t` are exposed; one if all are at once."""
         if self.scene.readout_s == 0.0:
             return np.array([t])
-        return t + self._row_time(np.arange(float(self.scene.camera.height)))
-
-    def _pixel_index(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the index into the image's pixels of rows and columns from the ball's first ones."""
-        return (row + self._window.top) * self.scene.camera.width + column + self._window.left
+        height = self.scene.camera.height
+        return t + row_of(np.arange(height), height) * self.scene.readout_s
 
     def _rays_at(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the rays of k pixels from the ball's first ones, (3, k) in obj, and their gradients, (3, 2, k)."""
@@ -122,7 +116,7 @@ class Surface:
         weight = np.where(hits.cosine > 0.0, 1.0, 1e-6).reshape(len(grid), -1).T
         normal = np.where(np.isnan(hits.normal), self._eye[:, None], hits.normal).reshape(3, len(grid), -1)
         return Points(
-            self._pixel_index(row, column),
+            self._pixel_index[row, column],
             np.ascontiguousarray(normal.T, dtype=np.float32),
             (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32),
         )
@@ -167,19 +161,17 @@ class Surface:
                 ray[:, pixels], dray[..., pixels], disc_directions[:, pixels], subpixels
             )
         keep = share > 0.0
-        return Coverage(self._pixel_index(row, column)[keep], disc[keep], share[keep])
+        return Coverage(self._pixel_index[row, column][keep], disc[keep], share[keep])
 
     def _near_discs(self, directions: Array) -> tuple[NDArray[np.intp], ...]:
         """Return row and column in the window, and disc, of pixels that may show a disc at `directions`, (n, 3) obj."""
         scene = self.scene
         near = np.flatnonzero((directions @ self._eye > np.cos(self._horizon + scene.disc_angle)) & self._present)
-        if len(near) == 0:
-            return (np.zeros(0, dtype=np.intp),) * 3
         uv, duv = self._project(directions[near])
         # of a small sphere around the disc, in both directions of the image
         chord = _EXTENT_FACTOR * 2.0 * scene.ball_radius * np.sin(0.5 * scene.disc_angle)
         reach = (_TESTED_MARGIN_PX + chord * np.linalg.norm(duv, axis=2))[..., None, None]
-        wide = int(np.max(reach)) + 1
+        wide = int(np.max(reach, initial=0.0)) + 1
         dv, du = np.mgrid[-wide : wide + 1, -wide : wide + 1]
         disc, row, column = np.nonzero((du / reach[:, 0]) ** 2 + (dv / reach[:, 1]) ** 2 < 1.0)
         corner = np.rint(uv - self._window[:2]).astype(int)[disc] - wide
@@ -234,7 +226,8 @@ class Surface:
         """
         turned = directions @ attitude_at(np.array([t]))[0].T
         for _ in range(7 if self.scene.readout_s > 0.0 else 0):  # of the error, a round leaves disc / row speed
-            times = t + self._row_time(self._project(turned)[0][:, 1])
+            v = self._project(turned)[0][:, 1]
+            times = t + row_of(v, self.scene.camera.height) * self.scene.readout_s
             turned = (attitude_at(times) @ directions[..., None])[..., 0]
         return turned
 
@@ -301,9 +294,7 @@ def _polygon(corners: Array) -> tuple[Array, Array]:
     b = np.roll(a, -1, axis=1)
     cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     doubled_area = cross.sum(axis=1)
-    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (
-        3.0 * np.where(doubled_area == 0.0, 1.0, doubled_area)[:, None]
-    )
+    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (3.0 * doubled_area)[:, None]
     k = corners.shape[1]
     chords = 2.0 * np.pi / k / np.sin(2.0 * np.pi / k)  # the area between chords and curve
     return origin[:, 0] + centroid, 0.5 * np.abs(doubled_area) * chords
