@@ -121,7 +121,9 @@ class Viewpoint:
             values = shade(surfaces, points.T)
             picture = picture if picture.size else np.empty((h * w, values.shape[1]), dtype=np.float32)
             found[tiles.ravel()], picture[tiles.ravel()] = surfaces, values
-        for part in _parts(np.flatnonzero(_borders(found.reshape(h, w))), 2000):
+        around = np.ones((3, 3), dtype=np.uint8)
+        differences = cv2.morphologyEx(found.reshape(h, w).astype(np.float32), cv2.MORPH_GRADIENT, around)
+        for part in _parts(np.flatnonzero(differences), 2000):
             uv = np.column_stack([window.left + part % w, window.top + part // w])
             picture[part] = self._mixed(*unproject(uv, camera), shade)
         return picture.reshape(h, w, -1)
@@ -146,9 +148,3 @@ class Viewpoint:
 def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
     """Pieces of about `size` rows: small arrays stay in the processor's cache."""
     return np.array_split(index, max(1, len(index) // size))
-
-
-def _borders(surfaces: Surfaces) -> NDArray[np.bool_]:
-    """Return a mask, (h * w,), of pixels with a different neighbour."""
-    around = np.ones((3, 3), dtype=np.uint8)
-    return (np.asarray(cv2.morphologyEx(surfaces.astype(np.float32), cv2.MORPH_GRADIENT, around)) > 0.0).ravel()

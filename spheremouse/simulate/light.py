@@ -5,6 +5,7 @@ and the struts, and a glossy coat on the ball (Schlick 1994). It is plausible an
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -158,7 +159,7 @@ def to_linear(grey: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)
 
 
-def reflectance(colour: Colour) -> Colour:
+def reflectance(colour: Colour | NDArray[Any]) -> Colour:
     """Return the reflectance of a surface painted in a screen colour: blue, green, red, 0..255 (sRGB)."""
     b, g, r = to_linear(np.array(colour) / 255.0)
     return float(b), float(g), float(r)

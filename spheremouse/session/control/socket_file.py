@@ -52,7 +52,11 @@ def find_socket() -> Path:
         return Path(given)
     places = list(candidates())
     existing = [p for p in places if _is_there(p)]
-    return next((p for p in existing if _answers(p)), (existing or places)[0])
+    for path in existing:
+        with contextlib.suppress(OSError):
+            _listener_at(path)
+            return path
+    return (existing or places)[0]
 
 
 def candidates() -> Iterator[Path]:
@@ -80,10 +84,8 @@ def _is_there(path: Path) -> bool:
     """Return True if the path exists, or may exist in a folder that is closed to us."""
     try:
         path.lstat()
-    except PermissionError:
-        return True
-    except OSError:
-        return False
+    except OSError as e:
+        return isinstance(e, PermissionError)
     return True
 
 
@@ -94,14 +96,6 @@ def _is_ours(path: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISDIR(found.st_mode) and found.st_uid in (_uid(), 0) and not found.st_mode & 0o022
-
-
-def _answers(path: Path) -> bool:
-    try:
-        _listener_at(path)
-    except OSError:
-        return False
-    return True
 
 
 def _uid() -> int:

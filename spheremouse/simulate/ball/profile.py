@@ -109,10 +109,8 @@ class Gestures:
     def _both(self, t: Array) -> tuple[Array, Array]:
         """Return attitude, (n, 3, 3), and rate, (n, 3) rad/s, at times `t`."""
         t = np.asarray(t, dtype=float)
-        first, last = (float(t.min()), float(t.max())) if len(t) else (0.0, 0.0)
-        done = 0
-        while done < len(self.gestures) and self.gestures[done].end <= first:
-            done += 1
+        first, last = np.min(t, initial=inf), np.max(t, initial=-inf)
+        done = next((k for k, g in enumerate(self.gestures) if g.end > first), len(self.gestures))
         R = np.broadcast_to(self._before[done], (len(t), 3, 3))
         w = np.zeros((len(t), 3))
         for g in self.gestures[done:]:
@@ -162,11 +160,10 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
     forth = min(turns, float(np.ceil(turns / 2.0)))
     gestures, start = [], 0.0
     for share, axis in ((forth, (1.0, 0.0, 1.0)), (turns - forth, (1.0, 0.0, -1.0))):
-        if share == 0.0:
-            continue
-        length = total * share / turns
-        gestures.append(Gesture(start, length, _unit(axis), 2.0 * np.pi * share, min(0.4, 1.0 / length)))
-        start += length
+        if share > 0.0:
+            length = total * share / turns
+            gestures.append(Gesture(start, length, _unit(axis), 2.0 * np.pi * share, min(0.4, 1.0 / length)))
+            start += length
     return Gestures(tuple(gestures), total)
 
 

@@ -136,8 +136,7 @@ def _indoors(rng: np.random.Generator) -> list[Face]:
                     thick, tall = float(rng.uniform(0.025, 0.07)), float(rng.uniform(0.2, 0.3))
                     low, high = (at, y - board - tall - 0.03, 5.75), (at + thick, y - board - 0.03, 6.0)
                     hsv = np.array([[[rng.uniform(0, 180), rng.uniform(20, 220), rng.uniform(30, 210)]]], np.uint8)
-                    blue, green, red = cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0].tolist()
-                    things += box(low, high, reflectance((blue, green, red)))
+                    things += box(low, high, reflectance(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)[0, 0]))
                     at += thick + 0.004
         elif kind == "carton":
             high = float(rng.uniform(0.25, 0.5))
@@ -170,10 +169,8 @@ def _mug_and_book(rng: np.random.Generator) -> list[Face]:
 
 def _near(colour: Colour, spread: float, rng: np.random.Generator) -> Colour:
     """Return the reflectance of a paint near a screen colour."""
-    b, g, r = np.clip(
-        np.array(colour) + rng.uniform(-spread, spread) + rng.uniform(-0.4 * spread, 0.4 * spread, 3), 0.0, 255.0
-    )
-    return reflectance((float(b), float(g), float(r)))
+    varied = np.array(colour) + rng.uniform(-spread, spread) + rng.uniform(-0.4 * spread, 0.4 * spread, 3)
+    return reflectance(np.clip(varied, 0.0, 255.0))
 
 
 # ---- objects that move ----
