@@ -58,15 +58,10 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
             raise ConfigurationError(f"{named(field)}: {time:g} s is after the end, at {seconds:g} s")
     layout = options.seed if options.layout is None else options.layout
     pattern = None if options.pattern is None else Pattern(options.pattern, layout)
+    (width, height), lens = options.size, np.array(options.dist)
     try:
         scene = default_scene(
-            options.disc_count,
-            options.view,
-            layout,
-            width=options.size[0],
-            height=options.size[1],
-            distortion=np.array(options.dist),
-            pattern=pattern,
+            options.disc_count, options.view, layout, width=width, height=height, distortion=lens, pattern=pattern
         )
     except ValueError as e:
         raise ConfigurationError(f"{named('discs')}: {e}") from None

@@ -224,14 +224,9 @@ class Scene:
 
     def rig(self) -> Rig:
         """The device as it is known beforehand, without the camera's pose."""
-        return Rig(
-            self.camera,
-            Ball(self.ball_radius),
-            self.targets,
-            self.disc_radius if len(self.disc_directions) else None,
-            readout_s=self.readout_s,
-            exposure_s=self.exposure_s,
-        )
+        disc_radius = self.disc_radius if len(self.disc_directions) else None
+        rig = Rig(self.camera, Ball(self.ball_radius), self.targets, disc_radius)
+        return replace(rig, readout_s=self.readout_s, exposure_s=self.exposure_s)
 
 
 def default_scene(
@@ -256,17 +251,10 @@ def default_scene(
     directions = np.zeros((0, 3))
     if discs > 0 or pattern is None:
         directions = spread_directions(discs, 3.0 * disc_radius / ball_radius, np.random.default_rng(seed))
-    return Scene(
-        camera=InteriorOrientation(width, height, focal, focal, width / 2.0, height / 2.0, lens),
-        pose=Pose(from_euler(np.radians(angles)), np.array(position)),
-        ball_radius=ball_radius,
-        disc_directions=directions,
-        disc_radius=disc_radius,
-        targets=targets,
-        surroundings=(*frame(targets, _BOLT_RADIUS), *room()),
-        lighting=Lighting(LAMPS, STRIPS, ball_radius),
-        pattern=pattern,
-    )
+    camera = InteriorOrientation(width, height, focal, focal, width / 2.0, height / 2.0, lens)
+    pose, lighting = Pose(from_euler(np.radians(angles)), np.array(position)), Lighting(LAMPS, STRIPS, ball_radius)
+    shapes = (*frame(targets, _BOLT_RADIUS), *room())
+    return Scene(camera, pose, ball_radius, directions, disc_radius, targets, shapes, lighting, pattern=pattern)
 
 
 def spread_directions(n: int, apart: float, rng: np.random.Generator) -> Array:

@@ -21,6 +21,7 @@ from spheremouse.simulate.layers import window
 from spheremouse.simulate.shapes import circle, pixel_parts
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
+Shares = NDArray[np.float32]  # (h, w) of pixels
 
 _SUBPIXELS_OF_PATTERN = 2  # of a pixel's side, for a painted pattern
 _SUBPIXELS_AT_EDGE = 3  # parts of a pixel's side where the edge of a disc runs through it
@@ -106,7 +107,7 @@ class Surface:
 
     # ---- pattern ----
 
-    def points(self, shown: NDArray[np.floating]) -> Points | None:
+    def points(self, shown: Shares) -> Points | None:
         """Return the points of a pattern in pixels of which the ball's share `shown`, (h, w), is above 0."""
         if self.scene.pattern is None:
             return None
@@ -149,17 +150,11 @@ class Surface:
         share = (g > 0.0).astype(float)
         angle = self.scene.disc_angle
         reach = 1.5 * self._pixel / np.maximum(hits.cosine, np.sqrt(self._pixel))  # rad, from the middle to a corner
-        grazing = (hits.cosine < _LIMB_COSINE_PER_ROOT_PIXEL * np.sqrt(self._pixel)) & (
-            g > np.cos(angle + reach) - np.cos(angle)
-        )
+        limb = hits.cosine < _LIMB_COSINE_PER_ROOT_PIXEL * np.sqrt(self._pixel)
+        grazing = limb & (g > np.cos(angle + reach) - np.cos(angle))
         cut = np.abs(g) <= 0.75 * slope.sum(axis=0)
-        for pixels, subpixels in (
-            (np.flatnonzero(cut & ~grazing), _SUBPIXELS_AT_EDGE),
-            (np.flatnonzero(grazing), _SUBPIXELS_AT_LIMB),
-        ):
-            share[pixels] = self._covered_share(
-                ray[:, pixels], dray[..., pixels], disc_directions[:, pixels], subpixels
-            )
+        for part, subpixels in ((cut & ~grazing, _SUBPIXELS_AT_EDGE), (grazing, _SUBPIXELS_AT_LIMB)):
+            share[part] = self._covered_share(ray[:, part], dray[..., part], disc_directions[:, part], subpixels)
         keep = share > 0.0
         return Coverage(self._pixel_index[row, column][keep], disc[keep], share[keep])
 
@@ -237,14 +232,7 @@ class Surface:
 
     # ---- truth ----
 
-    def truth(
-        self,
-        attitude_at: AttitudeAt,
-        t: float,
-        covered: Coverage,
-        shown: NDArray[np.float32],
-        alone: NDArray[np.float32],
-    ) -> DiscTruth:
+    def truth(self, attitude_at: AttitudeAt, t: float, covered: Coverage, shown: Shares, alone: Shares) -> DiscTruth:
         """Return the discs with centres on the near side at time `t`, each at the time of its own rows.
 
         `covered` is the coverage at that time. `shown` and `alone`, (h, w), are the shares of each pixel that the ball

@@ -106,20 +106,14 @@ def _paths(options: WandOptions) -> list[WandPath]:
     """Return one path per ball. The first path does not depend on the others."""
     rngs = [np.random.default_rng([options.seed, 14, k]) for k in range(options.balls)]
     if options.motion == "drive":
-        speed = 1.0 if options.speed is None else options.speed / DRIVE_SPEED
+        speed = (options.speed or DRIVE_SPEED) / DRIVE_SPEED
         return [drive(rng, speed=speed, part=k, of=options.balls) for k, rng in enumerate(rngs)]
-    distance = 1.0 if options.distance is None else options.distance
-    return [
-        hand(
-            rng,
-            distance=distance,
-            speed=HAND_SPEED if options.speed is None else options.speed,
-            rate=HAND_RATE if options.rate is None else np.radians(options.rate),
-            seconds=options.begin + (_HAND_SECONDS if options.seconds is None else options.seconds),
-            aside=0.45 * distance * (k - 0.5 * (options.balls - 1)),
-        )
-        for k, rng in enumerate(rngs)
-    ]
+    distance, speed = options.distance or 1.0, options.speed or HAND_SPEED
+    rate = np.radians(options.rate) if options.rate else HAND_RATE
+    seconds = options.begin + (options.seconds or _HAND_SECONDS)
+    asides = [0.45 * distance * (k - 0.5 * (options.balls - 1)) for k in range(options.balls)]
+    motion = {"distance": distance, "speed": speed, "rate": rate, "seconds": seconds}
+    return [hand(rng, aside=aside, **motion) for rng, aside in zip(rngs, asides, strict=True)]
 
 
 def _passing(
