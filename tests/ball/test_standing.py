@@ -204,9 +204,9 @@ def waving_sleeve(picture, t):
     return _with_spots(picture, spots)
 
 
-def stand(disturbed):
+def stand(disturbed, seed=1):
     """Return the farthest counts while the ball stands, the delay (s) and missing counts of the play after it."""
-    scene, rng = default_scene(12, seed=1), np.random.default_rng(7)
+    scene, rng = default_scene(12, seed=seed), np.random.default_rng(seed + 6)
     play = Gestures((Gesture(STANDS, 1.2, (0.6, 0.0, -0.8), 0.9),), STANDS + 2.0)
     tracker, renderer = build(scene.rig(), scene.pose, Settings()), Renderer(scene, RenderOptions(noise=4.0))
     state, estimates, truth = begin(tracker, 0.0), [], []
@@ -237,3 +237,12 @@ def test_a_disturbed_picture_of_a_standing_ball_sends_nothing_and_delays_no_play
     assert farthest <= 5.0
     assert delay <= 0.3
     assert missing <= 5.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2603, 2606, 2607])
+def test_spots_on_a_hand_are_no_other_ball_and_shift_no_centre(seed):
+    """Two to four discs are in view. The hand hides all of them for a while, or leaves some beside its spots."""
+    farthest, delay, _ = stand(spotted_hand, seed)
+    assert farthest <= 15.0
+    assert delay <= 0.3

@@ -22,7 +22,7 @@ from spheremouse.ball.filters.so3_eccentric import as_eccentric
 from spheremouse.ball.filters.so3_motion import CLONE_DIM
 from spheremouse.ball.filters.so3_settings import ESTABLISHED_HITS
 from spheremouse.ball.filters.so3_state import CENTRE, So3State, delays
-from spheremouse.ball.phases.filter_again import filtered_again
+from spheremouse.ball.phases.filter_again import filtered_again, relative_shift
 from spheremouse.ball.phases.follow import follow
 from spheremouse.ball.phases.seen_centre import LARGE_NIS, RESTS, correct_by_outline, with_doubtful_turn
 from spheremouse.ball.state import (
@@ -36,6 +36,7 @@ from spheremouse.ball.state import (
     TrackState,
     lost,
 )
+from spheremouse.geometry.rotation import rotation_between
 
 # Filters a frame: the state before it, its stamp, the tracker, and the prediction
 Follow = Callable[[TrackState[So3State], float, Tracker[So3Filter], So3State], TrackState[So3State]]
@@ -65,7 +66,8 @@ def check_learning(
     """Check the centre in a frame before the ball has turned; `before` is the state before that frame.
 
     If it is off, filter the kept frames again. While the outline stays, a length in the rig may be wrong. If the centre
-    is then farther off than lengths by tape explain, the ball moves along the line of sight.
+    is then farther off than lengths by tape explain, the ball moves along the line of sight. If the attitude turns by
+    more than the shift explains, the frames show something else, such as spots on a hand, and the centre stays.
     """
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
@@ -77,6 +79,9 @@ def check_learning(
     again = _learnt_again(state, views, tracker, wrong_rig=not moves)
     if _is_refuted(again, tracker):
         again = _learnt_again(state, views, tracker, wrong_rig=False)
+    turn = rotation_between(state.filter.attitude, again.filter.attitude)
+    if np.linalg.norm(turn) > relative_shift(again.filter.rig_error - views[0].points.rig_error, tracker):
+        return state._replace(centre=check._replace(evidence=0.0), outline=outline.again(outline.first)), ()
     return again, () if check.moved else (OutOfRound(),)
 
 

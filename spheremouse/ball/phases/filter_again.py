@@ -29,10 +29,10 @@ def filtered_with_its_rig(
     the Gauss-Newton iteration of a smoother over the views (Bell 1994). If a round turns the attitude by more than the
     shift explains, it has dropped views, and its result does not count.
     """
-    unit, assumed = np.array([1.0, *[tracker.rig.ball.radius] * 3]), views[0].points.rig_error
+    assumed = views[0].points.rig_error
     for _ in range(_ITERATIONS):
         shown = state.filter.rig_error
-        shift = float(np.linalg.norm((shown - assumed) / unit))
+        shift = relative_shift(shown - assumed, tracker)
         if shift < _MAX_LINEAR_SHIFT or state.filter.centre_noise > 0.0:
             break
         again = filtered_again(state, still, views, tracker)
@@ -40,6 +40,11 @@ def filtered_with_its_rig(
             break
         state, assumed = again, shown
     return state
+
+
+def relative_shift(rig_error: Array, tracker: Tracker) -> float:
+    """Return the length of a `rig_error`, (4,), in relative focal lengths and radii: about rad in the picture."""
+    return float(np.linalg.norm(rig_error / np.array([1.0, *[tracker.rig.ball.radius] * 3])))
 
 
 def filtered_with_others(
