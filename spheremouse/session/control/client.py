@@ -245,9 +245,7 @@ def settings_to_save(
     """
     status = client.status()
     changes = status.changes if assignments is None else assignments
-    keys = [key_of(assignment) for assignment in changes]
-    given = [key for key in keys if key in status.given]
-    if given:
+    if given := [key for key in map(key_of, changes) if key in status.given]:
         problem = f"{', '.join(given)}: set on the daemon's command line, which overrides the file"
         raise ControlError(problem, "leave it out there")
     if config is None and status.saved is not None:

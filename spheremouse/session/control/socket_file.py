@@ -133,20 +133,16 @@ def listening(path: Path, group: str | None) -> Iterator[socket.socket]:
     gid = None if group is None else _group_id(group)
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as listener, _lock(path):
         _remove_stale(path)
-        try:
+        refused = f"{path}: no socket can be made here", "set control.socket to a path elsewhere"
+        with os_errors_as(ControlError, *refused):
             listener.bind(str(path))
-            try:  # no client can connect before `listen`, so the mode is never too wide
+        identity = path.lstat()
+        try:
+            with os_errors_as(ControlError, *refused):  # no client can connect before `listen`, so the mode is in time
                 if gid is not None and path.stat().st_gid != gid:
                     _give_to_group(path, gid, group)
                 path.chmod(0o600 if gid is None else 0o660)
                 listener.listen(BACKLOG)
-            except BaseException:
-                path.unlink(missing_ok=True)
-                raise
-        except OSError as e:
-            raise ControlError(f"{path}: no socket can be made here ({e.strerror or e}); set control.socket") from None
-        identity = path.lstat()
-        try:
             yield listener
         finally:
             listener.close()

@@ -58,14 +58,13 @@ class Lift:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """A ball that moves to and fro in worn bearings, from its place on."""
+    """A ball that moves to and fro in worn bearings, from its place on, at 2 Hz."""
 
     shift: tuple[float, float, float]  # m, obj, the farthest
-    hz: float = 2.0
 
     def at(self, t: float) -> Array:
         """Offset of the ball's centre at time `t`, (3,) m from its place."""
-        return np.array(self.shift) * np.sin(2.0 * np.pi * self.hz * t)
+        return np.array(self.shift) * np.sin(4.0 * np.pi * t)
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,20 +173,20 @@ def rest(seconds: float = 60.0) -> Gestures:
     return Gestures(tuple(shown), shown[-1].end + seconds)
 
 
-def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
-    """The ball is shown for 8 s and rests for 2 s. Then it turns by `rate` (rad/s) times `seconds` in 1 s more."""
+def creep() -> Gestures:
+    """The ball is shown for 8 s and rests for 2 s. Then it turns at 0.05 deg/s for a minute, by 3 deg in all."""
     shown = _initial_turns()
-    slow = stroke(shown[-1].end + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
+    slow = stroke(shown[-1].end + 2.0, (1.0, 0.0, 1.0), np.radians(0.05), up=1.0, hold=59.0, down=1.0)
     return Gestures((*shown, slow), slow.end + 2.0)
 
 
-def flick(rate: float = np.radians(400.0), stop: float = 0.05) -> Gestures:
-    """The ball is shown for 8 s, then flicked at `rate` (rad/s) about four axes, stopped within `stop` s, and back."""
+def flick() -> Gestures:
+    """The ball is shown for 8 s, then flicked at 400 deg/s about four axes, stopped within 50 ms, and back."""
     gestures = _initial_turns()
     t = gestures[-1].end + 0.5
     for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.3, -1.0)):
         for sign in (1.0, -1.0):
-            gestures.append(stroke(t, axis, sign * rate, up=0.12, hold=0.25, down=stop))
+            gestures.append(stroke(t, axis, sign * np.radians(400.0), up=0.12, hold=0.25, down=0.05))
             t = gestures[-1].end
         t += 1.0
     return Gestures(tuple(gestures), t)

@@ -152,8 +152,7 @@ def board_stations(camera: InteriorOrientation, n: int, rng: np.random.Generator
     found: list[Pose] = []
     for k in range(n):
         view = _TILTS[k % len(_TILTS)], _GOLDEN_ANGLE_DEG * k, _BOARD_ROLLS[k % len(_BOARD_ROLLS)]
-        tries = [_before_board(camera, view, rng) for _ in range(_CANDIDATE_POSES)]
-        kept = [pose for pose in tries if pose is not None]
+        kept = [pose for _ in range(_CANDIDATE_POSES) if (pose := _before_board(camera, view, rng))]
         if not kept:
             raise ConfigurationError(
                 f"--focal {camera.fx:g}: the board does not fit into the picture anywhere in the room; take a shorter "
