@@ -142,13 +142,11 @@ class ControlServer:
         try:
             if not client.trusted and self._settings.group is None:
                 self._log(f"control: refused user {client.uid} (process {client.pid})")
-                error = f"user {client.uid} may not control this daemon; its own user, root may"
-                await client.send(refused(error))
-            elif sum(other.uid == client.uid for other in self._clients.values()) > most:
-                error = f"busy: user {client.uid} has {most} connections already; close one and try again"
-                await client.send(refused(error))
-            else:
-                await self._converse(client)
+                raise BadRequestError(f"user {client.uid} may not control this daemon; its own user, root may")
+            if sum(other.uid == client.uid for other in self._clients.values()) > most:
+                problem = f"busy: user {client.uid} has {most} connections already"
+                raise BadRequestError(f"{problem}; close one and try again")
+            await self._converse(client)
         except BadRequestError as e:
             with contextlib.suppress(OSError):
                 await client.send(refused(str(e)))
