@@ -11,10 +11,11 @@ from conftest import directions
 from reporting import counts_of
 
 from spheremouse.ball.build import begin, build
-from spheremouse.ball.events import NewMap, Turned
+from spheremouse.ball.events import NewMap, OutOfRound, Turned
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import advance, step
 from spheremouse.geometry.rotation import exp, log
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer, RenderOptions
 from spheremouse.simulate.ball.scene import default_scene
@@ -246,3 +247,15 @@ def test_spots_on_a_hand_are_no_other_ball_and_shift_no_centre(seed):
     farthest, delay, _ = stand(spotted_hand, seed)
     assert farthest <= 15.0
     assert delay <= 0.3
+
+
+def test_a_ball_that_sways_at_rest_does_not_turn():
+    """By 5 mm to the side, which looks like a turn by half a degree until the outline shows the shift."""
+    sim = prepare(SimulationOptions(motion="still", seconds=0.6, sway=5.0, noise=4.0, seed=2631))
+    tracker, state, events, error = build(sim.scene.rig(), sim.scene.pose, Settings()), None, [], []
+    for made in simulate(sim):
+        state, estimate, more = step(state or begin(tracker, 0.0), made.frame, tracker)
+        events += more
+        error.append(np.linalg.norm(log(estimate.rotation)))
+    assert OutOfRound() in events
+    assert np.degrees(max(error[6:])) < 0.2

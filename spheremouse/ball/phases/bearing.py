@@ -58,6 +58,8 @@ _PROOF_SIGMA = 0.002  # radii, standard deviation of the shift with which a fram
 _ECCENTRIC_CHECK_S = 0.2  # between tests for an eccentric ball
 _HOME_TIME_S = 3.0  # time constant of the usual place
 _MAX_INTERVAL_S = 0.1  # the longest time that one frame counts for
+# times the shift in radii: a shift across the line of sight looks like a turn by as much, before noise
+_MAX_TURN_BY_SHIFT = 3.0
 
 
 def check_learning(
@@ -67,7 +69,7 @@ def check_learning(
 
     If it is off, filter the kept frames again. While the outline stays, a length in the rig may be wrong. If the centre
     is then farther off than lengths by tape explain, the ball moves along the line of sight. If the attitude turns by
-    more than the shift explains, the frames show something else, such as spots on a hand, and the centre stays.
+    more than a shift explains, the frames show something else, such as spots on a hand, and the centre stays.
     """
     views = state.phase.views if isinstance(state.phase, Learning) else ()
     if not views or views[-1].camera != state.camera:
@@ -80,7 +82,8 @@ def check_learning(
     if _is_refuted(again, tracker):
         again = _learnt_again(state, views, tracker, wrong_rig=False)
     turn = rotation_between(state.filter.attitude, again.filter.attitude)
-    if np.linalg.norm(turn) > relative_shift(again.filter.rig_error - views[0].points.rig_error, tracker):
+    shift = relative_shift(again.filter.rig_error - views[0].points.rig_error, tracker)
+    if np.linalg.norm(turn) > _MAX_TURN_BY_SHIFT * shift:
         return state._replace(centre=check._replace(evidence=0.0), outline=outline.again(outline.first)), ()
     return again, () if check.moved else (OutOfRound(),)
 
