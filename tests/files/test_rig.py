@@ -58,7 +58,8 @@ def random_rig(seed, targets, known_pose, discs, correlated=True):
     whole = random_covariance(rng, 10 + n)  # pose, ball, targets
     if not correlated:
         whole = np.asarray(block_diag(whole[:6, :6], whole[6:10, 6:10], *(random_covariance(rng, 3),) * targets))
-    centre, pose = rng.normal(size=3) / 100, Pose(*place, whole[:6, :6], whole[:6, 6:10])
+    centre, pose = rng.normal(size=3) / 100, Pose(*place, whole[:6, :6], whole[:6, 6:10], rng.normal(size=6))
+    pose = pose if rng.random() < 0.5 else found_from_picture(pose, centre)
     interior = rng.uniform(100, 900, 4).tolist(), rng.normal(size=5) / 9, random_covariance(rng, 9)
     return Rig(
         camera=InteriorOrientation(640, 480, *interior[0], *interior[1:]),
@@ -69,7 +70,7 @@ def random_rig(seed, targets, known_pose, discs, correlated=True):
             normal=Rotation.random(rng=rng).as_matrix()[2] if rng.random() < 0.5 else np.array([0.0, 0.0, 1.0])
         ),
         disc_radius=rng.uniform(0.01, 0.03) if discs or rng.random() < 0.5 else None, **shutter(rng),
-        pose=found_from_picture(pose, centre) if known_pose else None,
+        pose=pose if known_pose else None,
         disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
         cross_covariance=whole[10:, 6:10] if correlated and targets else None, scale_free=bool(rng.random() < 0.5)
     )  # fmt: skip
@@ -232,6 +233,8 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
         ("2.4]", "0.24]", "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?"),
         ("T_obj_cam:" + ROWS, "pose_covariance: [[1]]\n",
          "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none"),
+        ("T_obj_cam:" + ROWS, "pose_by_focal: [0, 0, 0, 0, 0, 0]\n",
+         "17: pose_by_focal: belongs to T_obj_cam, which is missing; give both or none"),
         ("T_obj_cam:", "targets_covariance: [[0]]\nT_obj_cam:", "17: targets_covariance: must be 9 rows" + NINE),
         ("T_obj_cam:", f"targets_covariance: {np.diag([1e-6] * 9).tolist()}\nT_obj_cam:",
          "15: targets[1].covariance: stands in targets_covariance, too; remove one of them"),

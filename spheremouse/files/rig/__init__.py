@@ -106,6 +106,8 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
             rig.pose.covariance, "pose_covariance", "  # m and rad, position and rotation in obj"
         )
         lines += _covariance_lines(rig.pose.ball_covariance, "pose_ball_covariance", "  # with centre x, y, z, radius")
+        if np.any(rig.pose.by_focal != found_from_picture(rig.pose, rig.ball.centre).by_focal):
+            lines.append(f"pose_by_focal: {_flow(rig.pose.by_focal)}  # m and rad, by a relative error of fx, fy")
     if rig.disc_directions is not None and len(rig.disc_directions):
         lines += _matrix_lines(rig.disc_directions, "discs", "  # unit vectors in ball")
     return "\n".join(lines) + "\n"
@@ -175,4 +177,6 @@ def _pose(file: RigFile) -> Pose | None:
         return None
     pose = pose_from_matrix(matrix(file.T_obj_cam, 4), matrix(file.pose_covariance, 6))
     pose = dataclasses.replace(pose, ball_covariance=matrix(file.pose_ball_covariance, 6, 4))
+    if file.pose_by_focal is not None:
+        return dataclasses.replace(pose, by_focal=np.array(file.pose_by_focal))
     return found_from_picture(pose, np.array(file.ball.center))

@@ -81,8 +81,9 @@ def _targets_covariance_problems(file: RigFile, spread: list[float]) -> Iterator
 
 
 def _pose_problems(file: RigFile, spread: list[float]) -> Iterator[Problem]:
-    if file.pose_covariance is not None and file.T_obj_cam is None:
-        yield Problem(("pose_covariance",), "belongs to T_obj_cam, which is missing; give both or none")
+    for name in ("pose_covariance", "pose_by_focal"):
+        if getattr(file, name) is not None and file.T_obj_cam is None:
+            yield Problem((name,), "belongs to T_obj_cam, which is missing; give both or none")
     if file.pose_ball_covariance is not None and file.pose_covariance is None:
         yield Problem(("pose_ball_covariance",), "belongs to pose_covariance, which is missing; give both or none")
     yield from _covariance_problems(("pose_covariance",), file.pose_covariance, [*spread, *[math.pi] * 3])
