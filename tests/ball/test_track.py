@@ -549,11 +549,11 @@ def test_a_wrong_radius_is_found(error, seed, few):
         assert_allclose(out.states[-1].filter.centre, [0.0, 0.0, -error / 0.6 * distance], atol=2e-3)
 
 
-def with_wrong_focal_length(error):
-    """Rig that states an uncertainty of 2 %, and the pose that comes from pictures by the same camera."""
+def with_wrong_focal_length(error, stated=0.02):
+    """Rig that states a relative standard deviation, and the pose that comes from pictures by the same camera."""
     camera = RIG.camera
     covariance = np.zeros((9, 9))
-    covariance[:2, :2] = (0.02 * camera.fx) ** 2  # of fx and fy together
+    covariance[:2, :2] = (stated * camera.fx) ** 2  # of fx and fy together
     camera = replace(camera, fx=(1.0 + error) * camera.fx, fy=(1.0 + error) * camera.fy, covariance=covariance)
     pose = found_from_picture(POSE, RIG.ball.centre)  # so it is farther away by the same share
     return replace(RIG, camera=camera), replace(pose, position=pose.position + error * pose.by_focal[:3])
@@ -567,6 +567,14 @@ def test_a_wrong_focal_length_is_found_if_the_rig_states_its_uncertainty(error):
         assert np.degrees(np.sqrt(np.mean(out.error**2))) < 0.1
         last = out.states[-1].filter
         assert abs(last.rig_error[0] + error) < 0.002 + 4.0 * last.joint[RIG_ROW, RIG_ROW] ** 0.5
+
+
+@pytest.mark.parametrize("error", [-0.002, 0.002])
+def test_a_warm_lens_costs_little_though_the_rig_states_no_uncertainty(error):
+    for seed in range(3):
+        out = played(*with_wrong_focal_length(error, stated=0.0), seed=seed)
+        assert out.is_tracked
+        assert np.degrees(np.sqrt(np.mean(out.error**2))) < 0.06
 
 
 def test_views_that_are_filtered_again_count_once(monkeypatch):

@@ -11,6 +11,9 @@ from spheremouse.ball.filters.so3_motion import CAMERA_DIM, RIG_DIM
 from spheremouse.geometry.rotation import Array, hat
 
 _EXACT_RIG = 1e-6, 1e-5  # relative, and in radii: an exact rig costs nothing, yet the filter learns what depends on it
+# relative: a lens of 4 mm that focuses at 2 m in place of 4 m, or that warms by 10 to 20 K (Smith, Cope 2010, "The
+# effects of temperature variation on single-lens-reflex digital camera calibration parameters")
+_LEAST_FOCAL_SIGMA = 1e-3
 _TAPE_ERROR = 0.01  # of a length that is measured by tape
 
 
@@ -57,7 +60,8 @@ class Station:
         """Return the covariance, (8, 8), of rig, axes (rad) and readout (s), before a frame shows anything."""
         A, covariance = self.common_by_pose_and_ball(), np.zeros((CAMERA_DIM, CAMERA_DIM))
         covariance[:7, :7], covariance[7, 7] = A @ self.considered @ A.T, self.readout_sigma**2
-        effect = self.focal_sigma * self.common_by_focal()
+        least = _LEAST_FOCAL_SIGMA if self.pose_by_focal.any() else 0.0  # no picture determined a true pose
+        effect = max(self.focal_sigma, least) * self.common_by_focal()
         covariance[:RIG_DIM, :RIG_DIM] += np.outer(effect, effect)
         if self.size_error != 0.0:
             size = self.common_by_size()
