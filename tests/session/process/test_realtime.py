@@ -142,7 +142,7 @@ def test_what_was_given_is_done_before_the_end(workers):
 
 
 def test_a_thread_that_is_not_to_be_had_is_a_line(monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading, "_start_new_thread", refuse, raising=False)
