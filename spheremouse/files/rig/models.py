@@ -91,7 +91,7 @@ class RigFile(CameraFile):
     pose_ball_covariance: Matrix | None = Field(
         None, description="6 x 4 of the pose with the ball's centre x, y, z and radius"
     )
-    pose_by_focal: tuple[float, float, float, float, float, float] | None = Field(
+    pose_by_focal: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate] | None = Field(
         None, description="error of camera position (m) and rotation (rad) in obj by a relative one of fx and fy"
     )
     discs: tuple[Vector3, ...] = Field((), max_length=MAX_DISCS, description="list of unit vectors [x, y, z] in ball")
