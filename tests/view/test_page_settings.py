@@ -70,6 +70,7 @@ def test_a_gesture_on_a_slider_is_one_step_of_undo(page, service):
 
 
 def test_the_stage_that_a_setting_changes_is_shown_before_and_now(page, service):
+    service.reach(state="tracking")
     # No disc is light. With a high `discs.contrast`, the tracker would still find discs where the map predicts them.
     field(page, "tune", "discs.polarity").select_option("light")
     figures = page.locator(".comparison figure")
