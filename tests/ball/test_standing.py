@@ -249,6 +249,13 @@ def test_spots_on_a_hand_are_no_other_ball_and_shift_no_centre(seed):
     assert delay <= 0.3
 
 
+@pytest.mark.slow
+def test_spots_that_contradict_each_other_end_no_run():
+    """Pairs of them correct a lost ball by radians, and no state lies there."""
+    _, delay, _ = stand(spotted_hand, 2634)
+    assert delay <= 0.5
+
+
 def test_a_ball_that_sways_at_rest_does_not_turn():
     """By 5 mm to the side, which looks like a turn by half a degree until the outline shows the shift."""
     sim = prepare(SimulationOptions(motion="still", seconds=0.6, sway=5.0, noise=4.0, seed=2631))

@@ -162,7 +162,12 @@ std::pair<Corrected, Moved> correct_about(const Evidence& by, const Body& about,
     again.z -= again.H * there.head<CORE>();
     for (size_t i = 0; i < by.pairs.columns.size(); i++)
         again.z.segment<2>(2 * nb::ssize_t(i)) -= there.segment<2>(about.map_row() + 2 * by.pairs.columns[i]);
-    return correct_about(by, at.body(), there, again, round + 1);
+    try {
+        return correct_about(by, at.body(), there, again, round + 1);
+    } catch (const std::domain_error&) {  // pairs that contradict each other lead to no state
+        Moved moved = move(about, r.dx, std::move(r.P));
+        return {std::move(r), std::move(moved)};
+    }
 }
 
 }  // namespace
